@@ -130,13 +130,13 @@ def _parts(objective: Objective) -> list[tuple[str, Objective]]:
 
 def _most(study: Study) -> float:
     """The largest thickness that a sheet within the bounds has anywhere [m]."""
-    own = float(np.asarray(study.scene.parison.thickness).max())
+    thickest = float(np.asarray(study.scene.parison.thickness).max())
     for variable in study.variables:
         if isinstance(variable, ThicknessProfile | ThicknessField):
             return float(variable.bounds[1])
         if isinstance(variable, Scale) and variable.of == "parison.thickness":
-            return float(variable.bounds[1]) * own
-    return own
+            return float(variable.bounds[1]) * thickest
+    return thickest
 
 
 def _thicker(study: Study) -> str:

@@ -66,9 +66,9 @@ def warm_start(search: Search, study: Study, free: np.ndarray) -> tuple[Point, E
 def _update(search: Search, free: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     factor = np.clip(ratio**_EXPONENT, 1.0 / _MOST, _MOST)
     parts = []
-    for variable, own in search.parts(free):
+    for variable, part_free in search.parts(free):
         if isinstance(variable, SheetVariable):
-            sheet = np.asarray(variable.changes(jnp.asarray(own))["parison.thickness"], float)
-            own = variable.nearest(sheet * factor)
-        parts.append(own)
+            sheet = np.asarray(variable.changes(jnp.asarray(part_free))["parison.thickness"], float)
+            part_free = variable.nearest(sheet * factor)
+        parts.append(part_free)
     return np.concatenate(parts)

@@ -30,12 +30,12 @@ def gradient_error(point: Point, reach: np.ndarray, value: Callable[[np.ndarray]
     """
     direction = np.random.default_rng(0).normal(size=point.free.size)
     direction /= np.linalg.norm(direction)
-    room = reach - np.abs(point.free)
-    near = room < 2.0 * _SIZES[0] * np.abs(direction)
+    margin = reach - np.abs(point.free)
+    near = margin < 2.0 * _SIZES[0] * np.abs(direction)
     direction = np.where(near, -np.sign(point.free) * np.abs(direction), direction)
     slope, differences = float(point.gradient @ direction), []
     for size in _SIZES:
-        if np.all(room >= size * np.abs(direction)):
+        if np.all(margin >= size * np.abs(direction)):
             rise = value(point.free + size * direction) - value(point.free - size * direction)
         else:
             one, two = (value(point.free + step * size * direction) for step in (1.0, 2.0))

@@ -62,16 +62,16 @@ class HeaterZones:
             raise InputError("the sheet has no temperature", remedy, "variable.of", of)
         jaxform.replace(scene, {of: 1.0 if present is None else present})  # says what the scene has instead
         name = of.removeprefix("material.")
-        own = np.asarray(present, float)
-        listed = name not in scene.material.zones and own.ndim > 0
-        if of != "parison.temperature" and (not hasattr(scene.material, name) or listed or own.ndim > 1):
+        cell = np.asarray(present, float)
+        listed = name not in scene.material.zones and cell.ndim > 0
+        if of != "parison.temperature" and (not hasattr(scene.material, name) or listed or cell.ndim > 1):
             remedy = "design parison.temperature, or a parameter of the material that is not a list"
             raise InputError("does not vary over the sheet", remedy, "variable.of", of)
         self.of, self.bounds, self.grid = of, bounds, (int(grid[0]), int(grid[1]))
         self._first_nodes = scene.first_nodes
         weights = _view_factors(scene, self.grid, distance)
         self._weights = jnp.asarray(spread_to_forest(scene, weights))
-        start = np.broadcast_to(own, (len(self._weights),))[: self._first_nodes]
+        start = np.broadcast_to(cell, (len(self._weights),))[: self._first_nodes]
         hold = 1e-6 * np.eye(
             weights.shape[1]
         )  # towards the mean, hardly: a heater that no node feels has no best value
@@ -106,8 +106,8 @@ def _view_factors(scene: Scene, grid: tuple[int, int], distance: float) -> np.nd
     side = (high - low) / np.asarray(grid)
     number = np.stack(np.meshgrid(*map(np.arange, grid), indexing="xy"), axis=-1).reshape(-1, 2)
     if distance == 0.0:
-        own = np.clip(((places[:, :2] - low) / side).astype(int), 0, np.asarray(grid) - 1)
-        return np.eye(len(number))[own[:, 0] + grid[0] * own[:, 1]]
+        cell = np.clip(((places[:, :2] - low) / side).astype(int), 0, np.asarray(grid) - 1)
+        return np.eye(len(number))[cell[:, 0] + grid[0] * cell[:, 1]]
     inside = (np.stack(np.meshgrid(*[np.arange(_PARTS)] * 2), axis=-1).reshape(-1, 2) + 0.5) / _PARTS
     points = (low + side * (number[:, None] + inside[None])).reshape(-1, 2)
     seen = np.zeros((len(places), len(points)))

@@ -93,9 +93,9 @@ def _thicken(search: Search, point: Point) -> None:
     if not sheets or not search.study.objective.aims or not KEPT < point.violation < _MOST_THICKENED:
         return
     parts = []
-    for variable, own in search.parts(point.free):
+    for variable, part_free in search.parts(point.free):
         if isinstance(variable, SheetVariable):
-            sheet = np.asarray(variable.changes(jnp.asarray(own))["parison.thickness"], float)
-            own = variable.nearest(sheet / (1.0 - point.violation))
-        parts.append(own)
+            sheet = np.asarray(variable.changes(jnp.asarray(part_free))["parison.thickness"], float)
+            part_free = variable.nearest(sheet / (1.0 - point.violation))
+        parts.append(part_free)
     search.evaluate_forward(np.concatenate(parts))

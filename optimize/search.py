@@ -113,12 +113,12 @@ class Search:
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
         """The changes of the scene, for `jaxform.replace`."""
-        return {path: value for part, own in self._parts(free) for path, value in part.changes(own).items()}
+        return {path: value for part, part_free in self._parts(free) for path, value in part.changes(part_free).items()}
 
     def document(self, free: np.ndarray) -> dict[str, Any]:
         """The changes as dotted keys of a scene file."""
         parts = self._parts(jnp.asarray(free))
-        return {key: value for part, own in parts for key, value in part.document(own).items()}
+        return {key: value for part, part_free in parts for key, value in part.document(part_free).items()}
 
     def scene(self, free: np.ndarray) -> Scene:
         """The study's scene with a design."""
@@ -327,7 +327,7 @@ class Search:
             return point
         live = formed_part(self.scene(point.free))
         self.simulations += 1.0
-        if int(live.status) or live.used.size != self._room:
+        if int(live.status) or live.used.size != self._capacity:
             return point
         before = self.schedule, self.best
         self.schedule, self.best = live.schedule, None
@@ -338,7 +338,7 @@ class Search:
         return fresh
 
     @property
-    def _room(self) -> int:
+    def _capacity(self) -> int:
         refinement = self.study.scene.refinement
         return 0 if refinement is None else refinement.elements
 

@@ -37,13 +37,13 @@ def warn_of_insensitive_variables(search: Search, point: Point, first: Result, w
         return
     slow = float(first.energy.quasi_static_error) <= QUASI_STATIC_LIMIT
     begin, found = 0, []
-    for index, (variable, own) in enumerate(search.parts(point.free)):
-        gradient = point.gradient[begin : begin + own.size]
-        change = float(np.abs(gradient) @ _spans(variable, own)) / size
+    for index, (variable, part_free) in enumerate(search.parts(point.free)):
+        gradient = point.gradient[begin : begin + part_free.size]
+        change = float(np.abs(gradient) @ _spans(variable, part_free)) / size
         known = slow and not isinstance(variable, SheetVariable)
-        if change < _IDLE and (known or _has_no_effect(search, point, slice(begin, begin + own.size), size)):
+        if change < _IDLE and (known or _has_no_effect(search, point, slice(begin, begin + part_free.size), size)):
             found.append((index, variable, change))
-        begin += own.size
+        begin += part_free.size
     for index, variable, change in found:
         warn(_sentence(index, variable, change, first, everything=len(found) == len(search.study.variables)))
 
@@ -57,10 +57,10 @@ def _spans(variable: Variable, free: np.ndarray) -> np.ndarray:
     return 1.0 / np.maximum(slopes, 1.0 / _FARTHEST)
 
 
-def _has_no_effect(search: Search, point: Point, own: slice, size: float) -> bool:
+def _has_no_effect(search: Search, point: Point, rows: slice, size: float) -> bool:
     """True if a step of a variable changes nothing: at an optimum the gradient vanishes too, but not this change."""
     step = np.zeros_like(point.free)
-    step[own] = -_STEP * np.where(point.gradient[own] < 0.0, -1.0, 1.0)
+    step[rows] = -_STEP * np.where(point.gradient[rows] < 0.0, -1.0, 1.0)
     outside = np.abs(point.free + step) > search.reach
     value = search.probe(search.inside(np.where(outside, point.free - step, point.free + step)))
     return abs(value - point.value) < _IDLE * size

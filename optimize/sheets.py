@@ -215,13 +215,13 @@ class ThicknessField(_SheetMap):
 
 def _spaced_nodes(positions: Array, smoothness: float) -> Array:
     """Nodes (n,) of which none is nearer to another than what a number needs, and no node is farther from all."""
-    room = np.full(len(positions), np.inf)
+    distance = np.full(len(positions), np.inf)
     chosen: list[int] = []
     next_one = int(np.argmin(positions @ np.array([1.0, 1.0, 1.0])))
-    while room[next_one] > smoothness / _CONTROLS_PER_LENGTH or not chosen:
+    while distance[next_one] > smoothness / _CONTROLS_PER_LENGTH or not chosen:
         chosen.append(next_one)
-        room = np.minimum(room, np.linalg.norm(positions - positions[next_one], axis=1))
-        next_one = int(np.argmax(room))
+        distance = np.minimum(distance, np.linalg.norm(positions - positions[next_one], axis=1))
+        next_one = int(np.argmax(distance))
     return np.sort(np.asarray(chosen))
 
 

@@ -125,11 +125,11 @@ def apply_step_limit(
     values: list[jax.Array] = []
     last, steps = first, jnp.asarray(change)
     for k in range(free.size):
-        room: Any = bounds
+        interval: Any = bounds
         if last is not None:
             step = steps[k if first is not None else k - 1]
-            room = _room(last, step, bounds, rising)
-        last = apply_bounds(free[k], room)
+            interval = _interval(last, step, bounds, rising)
+        last = apply_bounds(free[k], interval)
         values.append(last)
     return jnp.stack(values)
 
@@ -141,15 +141,17 @@ def invert_step_limit(
     free: list[float] = []
     last = first
     for k, value in enumerate(np.asarray(values, float)):
-        room: Any = bounds
+        interval: Any = bounds
         if last is not None:
-            room = [float(end) for end in _room(last, change[k if first is not None else k - 1], bounds, rising)]
-        free.append(float(invert_bounds(value, room)))
-        last = float(apply_bounds(jnp.asarray(free[-1]), room))
+            interval = [
+                float(end) for end in _interval(last, change[k if first is not None else k - 1], bounds, rising)
+            ]
+        free.append(float(invert_bounds(value, interval)))
+        last = float(apply_bounds(jnp.asarray(free[-1]), interval))
     return np.asarray(free)
 
 
-def _room(last: Any, step: Any, bounds: Bounds, rising: bool) -> tuple[jax.Array, jax.Array]:
+def _interval(last: Any, step: Any, bounds: Bounds, rising: bool) -> tuple[jax.Array, jax.Array]:
     low = last if rising else jnp.maximum(bounds[0], last - step)
     return low, jnp.minimum(bounds[1], last + step)
 

@@ -135,18 +135,18 @@ class _Insertions(NamedTuple):
         """The block of values (..., n_place)."""
         return slice_at(values, self.begin, self.new.size)
 
-    def put(self, values: jax.Array, own: jax.Array) -> jax.Array:
+    def put(self, values: jax.Array, inserted: jax.Array) -> jax.Array:
         """The values with others at the new nodes' places."""
-        return put(values, jnp.where(self.new, own, self.block_of(values)), self.begin)
+        return put(values, jnp.where(self.new, inserted, self.block_of(values)), self.begin)
 
     def join_ends(self, outside: list[jax.Array], join: Callable[..., jax.Array], depth: int) -> jax.Array:
         """Joins the values (..., n) at both ends of the edges: `outside`, or where an end is new, its own join."""
         inside = [jnp.clip(end - self.begin, 0, self.new.size - 1) for end in self.ends]
         newer = [self.new & (end >= self.begin) & self.new[at] for end, at in zip(self.ends, inside, strict=True)]
 
-        def join_again(own: jax.Array) -> jax.Array:
+        def join_again(current: jax.Array) -> jax.Array:
             triples = zip(newer, inside, outside, strict=True)
-            return join(*(jnp.where(new, own[..., at], other) for new, at, other in triples))
+            return join(*(jnp.where(new, current[..., at], other) for new, at, other in triples))
 
         def is_waiting(waiting: jax.Array) -> jax.Array:
             waits = [new & waiting[at] for new, at in zip(newer, inside, strict=True)]

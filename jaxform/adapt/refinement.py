@@ -106,8 +106,8 @@ def refine_in_place(
             idle = dataclasses.replace(idle, stress=state.memory[:, idle.element], since=state.time)
         return active.pack_state(state), body, (state.memory, idle, state.heat)
 
-    begun = state, discrete, (active.memory, active.idle, active.heat)
-    state, discrete, (memory, idle, heat) = lax_cond_once(_is_due(state, adaptivity), refine_now, begun)
+    before = state, discrete, (active.memory, active.idle, active.heat)
+    state, discrete, (memory, idle, heat) = lax_cond_once(_is_due(state, adaptivity), refine_now, before)
     return state, discrete, dataclasses.replace(active, memory=memory, idle=idle, heat=heat)
 
 
@@ -217,7 +217,7 @@ def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivit
     positions = state.nodes.positions if frame is None else frame.places(state.nodes.positions)
     shapes = _shapes(positions, discrete, adaptivity, scene.tables.grid)
     sheet, fine = discrete.sheet, 0.5 * discrete.sheet.area < limits.min_area
-    room = padded_length(mesh.element.size)
+    capacity = padded_length(mesh.element.size)
     blocks = mesh.element_count // BLOCK + 1
 
     def work(element: jax.Array, neighbor: jax.Array, own: jax.Array, fine: jax.Array, area: jax.Array) -> Any:
@@ -232,8 +232,8 @@ def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivit
 
     across = mesh.sides[forest.half_edges[:, mesh.element] ^ 1]
     lists = mesh.element, across, shapes[:, : mesh.element.size], fine, sheet.area
-    inputs = tuple(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, room - x.shape[-1])]) for x in lists)
-    (marks,), _ = over_blocks(work, blocks, inputs, [jnp.zeros((1, room), bool)])
+    inputs = tuple(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, capacity - x.shape[-1])]) for x in lists)
+    (marks,), _ = over_blocks(work, blocks, inputs, [jnp.zeros((1, capacity), bool)])
     return marks[0, : mesh.element.size]
 
 
@@ -259,9 +259,9 @@ def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, gr
     return found
 
 
-def _is_bent(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.Array) -> jax.Array:
+def _is_bent(element: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.Array) -> jax.Array:
     """True where a normal of an element (n,) or of a neighbour is far from the mean of the group's (paper, 3.3)."""
-    normal = own[0], own[1], own[2]
+    normal = element[0], element[1], element[2]
     beside = []
     for side in neighbor:
         there = side >= 0
@@ -275,12 +275,12 @@ def _is_bent(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.
     return bent
 
 
-def _is_uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Array) -> jax.Array:
+def _is_uneven(element: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Array) -> jax.Array:
     """True where the thickness ratio of an element (n,) and a neighbour exceeds 1 + `jump`."""
-    uneven = jnp.zeros(own.shape[1], bool)
+    uneven = jnp.zeros(element.shape[1], bool)
     for side in neighbor:
         other = shapes[3][jnp.maximum(side, 0)]
-        ratio = jnp.maximum(other, own[3]) / jnp.minimum(other, own[3])
+        ratio = jnp.maximum(other, element[3]) / jnp.minimum(other, element[3])
         uneven |= (side >= 0) & (ratio > 1.0 + jump)
     return uneven
 

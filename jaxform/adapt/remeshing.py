@@ -35,9 +35,9 @@ class Queue:
     node_count: jax.Array
 
 
-def empty_queue(room: int) -> Queue:
+def empty_queue(capacity: int) -> Queue:
     """A queue without triangles."""
-    return Queue(jnp.full(room, NEVER, jnp.int32), jnp.int32(0), jnp.int32(0))
+    return Queue(jnp.full(capacity, NEVER, jnp.int32), jnp.int32(0), jnp.int32(0))
 
 
 def make_queue(found: jax.Array, count: jax.Array, forest: BisectionHierarchy | bisection.TriangleForest) -> Queue:
@@ -68,7 +68,7 @@ def close_queue(
         forest: The forest.
         window: The present one.
     """
-    room, last = wanted.size, split_at.size - 1
+    capacity, last = wanted.size, split_at.size - 1
     partner = jnp.asarray(forest.partner)
 
     def push(growing: _Growing, triangle: jax.Array, meant: jax.Array | bool) -> _Growing:
@@ -78,7 +78,7 @@ def close_queue(
         new = meant & (before == NEVER)
         split_at = _write_entry(split_at, jnp.where(new, window, before), number)
         # The last entry is for triangles that are not added.
-        queue = _write_entry(queue, number, jnp.where(new, jnp.minimum(count, room), room))
+        queue = _write_entry(queue, number, jnp.where(new, jnp.minimum(count, capacity), capacity))
         return split_at, queue, count + new.astype(jnp.int32)
 
     def ask(i: jax.Array, carry: _Growing) -> _Growing:
@@ -87,16 +87,16 @@ def close_queue(
 
     def follow(carry: tuple[jax.Array, _Growing]) -> tuple[jax.Array, _Growing]:
         i, growing = carry
-        triangle = _read_entry(growing[1], jnp.minimum(i, room))
+        triangle = _read_entry(growing[1], jnp.minimum(i, capacity))
         growing = push(growing, _read_entry(partner, triangle), True)
         return i + 1, push(growing, (triangle - forest.root_count) // 2, triangle >= forest.root_count)
 
-    start = split_at, jnp.zeros(room + 1, jnp.int32), jnp.int32(0)
+    start = split_at, jnp.zeros(capacity + 1, jnp.int32), jnp.int32(0)
     growing = jax.lax.fori_loop(0, count, ask, start)
     _, (split_at, queue, found) = jax.lax.while_loop(
         lambda carry: carry[0] < carry[1][2], follow, (jnp.int32(0), growing)
     )
-    return split_at, make_queue(queue[:room], found, forest)
+    return split_at, make_queue(queue[:capacity], found, forest)
 
 
 _Growing = tuple[jax.Array, jax.Array, jax.Array]  # split_at, the queue with a spare entry, its count

@@ -79,15 +79,15 @@ def _map_wall(arguments: argparse.Namespace, wall: WallSurface) -> tuple[WallSur
     mesh, place, said = _target(arguments, wall, path)
     posed = dataclasses.replace(mesh, positions=place(mesh.positions))
     reach = mapping.FARTHEST * meshes.size(wall.positions)
-    own = bool(said)
-    side, nodes, share = pose.contact_side(wall, posed, reach, whole=not own)
+    from_mold = bool(said)
+    side, nodes, share = pose.contact_side(wall, posed, reach, whole=not from_mold)
     if share < 1.0:
         said.append(
             f"of {name}, the side on which the sheet lies is written, {100 * share:.3g} % of its area; the rest, "
             "another side or too far from the part, gets no wall"
         )
     carried, coverage = mapping.map_wall(wall, side, name)
-    if own:
+    if from_mold:
         # Planes of symmetry are the scene's.
         carried = dataclasses.replace(carried, positions=mesh.positions[nodes], planes={})
     return carried, [*said, str(coverage)]
@@ -100,20 +100,26 @@ def _target(
     from jaxform.io.export import mapping, pose
 
     given = 1.0 if arguments.scale is None else arguments.scale
-    own = None if arguments.pose == "scene" else pose.read_pose(arguments.folder)
-    if own is None and arguments.pose == "file":
+    mold_pose = None if arguments.pose == "scene" else pose.read_pose(arguments.folder)
+    if mold_pose is None and arguments.pose == "file":
         problem, remedy = "the scene in DIR has no mold from a file", "give --pose scene"
         raise InputError(problem, remedy, "--pose", arguments.pose)
-    if own is not None:
-        scaled = mapping.read_target(path, own.scale if arguments.scale is None else given)
-        known = arguments.pose == "file" or own.contains_file(path)
+    if mold_pose is not None:
+        scaled = mapping.read_target(path, mold_pose.scale if arguments.scale is None else given)
+        known = arguments.pose == "file" or mold_pose.contains_file(path)
         words = (
             "is the mold's own file"
-            if own.contains_file(path)
+            if mold_pose.contains_file(path)
             else "is taken to be in the coordinates of the mold's file"
         )
-        if known or pose.fits_better_posed(wall, scaled, own.place(scaled.positions), mapping.read_target(path, given)):
-            return scaled, own.place, [f"{arguments.onto} {words}: placed as [mold] says; --pose scene says otherwise"]
+        if known or pose.fits_better_posed(
+            wall, scaled, mold_pose.place(scaled.positions), mapping.read_target(path, given)
+        ):
+            return (
+                scaled,
+                mold_pose.place,
+                [f"{arguments.onto} {words}: placed as [mold] says; --pose scene says otherwise"],
+            )
     return mapping.read_target(path, given), lambda places: places, []
 
 

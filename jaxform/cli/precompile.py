@@ -100,19 +100,19 @@ def kinds() -> Iterator[SceneKind]:
         "neo-hookean": NeoHookean(as_real(2e5), as_real(1e3)),
         "modified-mooney-rivlin": ModifiedMooneyRivlin(as_real(2e5), as_real(0.1), as_real(1e3)),
     }
-    for rung in _bucket_sizes(capacities.element_capacity, _LARGEST):
+    for size in _bucket_sizes(capacities.element_capacity, _LARGEST):
         for (name, law), ramp in itertools.product(laws.items(), ("linear", "cubic-ramp")):
-            words = f"{name}, {ramp}, up to {rung - 1} elements"
-            yield SceneKind(words, lambda law=law, ramp=ramp: _scene(law, ramp), rung - 1)
-    for rung in _bucket_sizes(capacities.root_capacity, _LARGEST_ROOTS):
-        words = f"mooney-rivlin, linear, refined from up to {rung} elements"
-        yield SceneKind(words, lambda rung=rung: _scene(laws["mooney-rivlin"], "linear", roots=rung), rung)
+            words = f"{name}, {ramp}, up to {size - 1} elements"
+            yield SceneKind(words, lambda law=law, ramp=ramp: _scene(law, ramp), size - 1)
+    for size in _bucket_sizes(capacities.root_capacity, _LARGEST_ROOTS):
+        words = f"mooney-rivlin, linear, refined from up to {size} elements"
+        yield SceneKind(words, lambda size=size: _scene(laws["mooney-rivlin"], "linear", roots=size), size)
 
 
-def _bucket_sizes(ladder: Callable[[int], int], largest: int) -> list[int]:
-    found = [ladder(1)]
+def _bucket_sizes(capacity_of: Callable[[int], int], largest: int) -> list[int]:
+    found = [capacity_of(1)]
     while found[-1] < largest:
-        found.append(ladder(found[-1] + 1))
+        found.append(capacity_of(found[-1] + 1))
     return found
 
 
@@ -121,8 +121,8 @@ def _scene(law: Law, ramp: str, roots: int | None = None) -> Scene:
     wall = molds.revolved(profile=[[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]], segments=24)
     options: dict[str, Any] = {}
     if roots is not None:
-        room = files.default_capacity(roots)
-        options["refinement"] = make_refinement(angle=4.0, interval=100, max_level=_MAX_LEVEL, elements=room)
+        capacity = files.default_capacity(roots)
+        options["refinement"] = make_refinement(angle=4.0, interval=100, max_level=_MAX_LEVEL, elements=capacity)
     return build_scene(
         parison=make_parison(sheet.positions, sheet.triangles, 1e-3, sheet.clamped, sheet.fixed),
         material=law,

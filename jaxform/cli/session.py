@@ -177,11 +177,11 @@ def write_part(
     """
     from jaxform.io import output
 
-    folder, told = arguments.out, list(arguments.warned)
+    folder, warned = arguments.out, list(arguments.warned)
 
     def write() -> tuple[dict[str, Any], Exception | None]:
         with report_waiting(arguments, "comparing the part with the mold; its files are written already"):
-            summary = output.write_result(scene, result, folder, told, amend, there=there)
+            summary = output.write_result(scene, result, folder, warned, amend, there=there)
         return summary, _failure(then) if picture.elsewhere else None
 
     with run_in_background(write) as written, report_waiting(arguments, "drawing the part"):
@@ -191,7 +191,7 @@ def write_part(
         # To read files back, a process limits its memory; not while it draws.
         failure = _failure(then)
     for sentence in summary["warnings"]:
-        if sentence not in told:
+        if sentence not in warned:
             warn(sentence)
     if failure is not None:
         raise failure

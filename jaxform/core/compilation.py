@@ -69,10 +69,10 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
         _cache_every_program()
         return Path(known)
     if folder is None:
-        own = disk.user_cache_folder()
-        if own is None:
+        cache = disk.user_cache_folder()
+        if cache is None:
             return None
-        chosen = own / disk.COMPILED
+        chosen = cache / disk.COMPILED
         keep_programs_in(chosen, _exit_stack())
         return chosen
     chosen = Path(folder).absolute()

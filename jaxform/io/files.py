@@ -296,11 +296,11 @@ def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
         terms = [_quantity(document, one, f"{key}[{k}]", sheet) for k, one in enumerate(value)]
         return as_real(np.stack(np.broadcast_arrays(*terms)))
 
-    def part(kinds: dict[str, Any], own: Any) -> Any:
-        if own is None:
+    def part(kinds: dict[str, Any], given: Any) -> Any:
+        if given is None:
             return None
-        kind = kinds[own.kind]
-        return kind(**{name: as_real(getattr(own, name)) for name in parameter_ranges(kind)})
+        kind = kinds[given.kind]
+        return kind(**{name: as_real(getattr(given, name)) for name in parameter_ranges(kind)})
 
     made = law(**{name: number(name) for name in parameter_ranges(law)})
     viscous, shift = part(materials.MODES, table.viscous), part(materials.SHIFTS, table.shift)

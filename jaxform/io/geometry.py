@@ -192,9 +192,9 @@ def _triangles_of_files(
     middles, near = _centroids(whole), _SAME * meshes.size(whole.vertices)
     from scipy.spatial import KDTree  # takes a tenth of a second to import
 
-    own = KDTree(_centroids(chosen)).query(middles, distance_upper_bound=near)[0] <= near
+    in_part = KDTree(_centroids(chosen)).query(middles, distance_upper_bound=near)[0] <= near
     # The mold's triangles are the merged ones, without degenerate ones.
-    return own[source[KDTree(_centroids(merged)).query(_centroids(mold))[1]]]
+    return in_part[source[KDTree(_centroids(merged)).query(_centroids(mold))[1]]]
 
 
 def _centroids(surface: molds.MoldShape | Mold) -> Any:

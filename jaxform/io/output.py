@@ -330,6 +330,6 @@ def _draw(upper: Any, lower: Any, curve: FitCurve, color: str) -> None:
     upper.plot(curve.at, curve.measured, "o", color=color, markersize=4, alpha=0.7, label=label)
     line = curve.line or (curve.at, curve.fitted)
     upper.plot(*line, "-", color=color, linewidth=1.6)
-    told = curve.measured != 0.0
-    off = 100.0 * (curve.fitted[told] / curve.measured[told] - 1.0)
-    lower.plot(curve.at[told], off, "o-", color=color, markersize=3, linewidth=0.8)
+    nonzero = curve.measured != 0.0
+    off = 100.0 * (curve.fitted[nonzero] / curve.measured[nonzero] - 1.0)
+    lower.plot(curve.at[nonzero], off, "o-", color=color, markersize=3, linewidth=0.8)

@@ -182,8 +182,8 @@ def wall_scale(parts: Sequence[Part]) -> tuple[float, float]:
     walls, areas = [], []
     for scene, result in parts:
         start, end = np.asarray(scene.parison.positions, float), np.asarray(result.positions, float)
-        own = None if scene.part is None else np.asarray(restrict_to_part(result, scene)[0].used)
-        formed = counted_elements(start, end, np.asarray(result.triangles), own)
+        in_part = None if scene.part is None else np.asarray(restrict_to_part(result, scene)[0].used)
+        formed = counted_elements(start, end, np.asarray(result.triangles), in_part)
         walls.append(np.asarray(result.element_thickness, float)[formed])
         areas.append(formed_areas(result)[formed])
     return color_range(1e3 * np.concatenate(walls), np.concatenate(areas))
@@ -210,7 +210,7 @@ def _lines(
         style = _POINTS | {"markersize": 3.5, "alpha": 0.6} if disc else {}
         shown = distinguishable_points(curve.arc, curve.thickness) if disc else slice(None)
         arc = 1e3 * curve.arc[shown]
-        if curve.own is not None and not curve.own.all():
+        if curve.in_part is not None and not curve.in_part.all():
             label = "_" if lines else "cut off the part"
             lines.append(Line(arc, 1e3 * curve.thickness[shown], style | _FAINT | {"label": label}))
         lines.append(Line(arc, 1e3 * curve.part_thickness[shown], style | {"color": color, "label": curve.label}))
@@ -222,8 +222,8 @@ def _lines(
 
 def curves_of_part(scene: Scene, result: Result, through: ArrayLike | None = None) -> list[sections.SectionCurve]:
     """The curves of `jaxform.results.sections.curves`, which know which of their points are the scene's `Part`."""
-    own = None if scene.part is None else np.asarray(restrict_to_part(result, scene)[0].used)
-    return sections.curves(scene, result, through, own)
+    in_part = None if scene.part is None else np.asarray(restrict_to_part(result, scene)[0].used)
+    return sections.curves(scene, result, through, in_part)
 
 
 def _mark(arc: float, thin: Mapping[str, Any], lines: Sequence[Line] = ()) -> Line:

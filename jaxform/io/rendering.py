@@ -93,16 +93,17 @@ def _part(pyvista: Any, results: Results) -> Any:
     surface = _surface(pyvista, results.part.positions, results.part.triangles)
     surface.point_data["wall"] = 1e3 * results.part.nodal["thickness"]
     if results.part.part_mask is not None:
-        surface.cell_data["own"] = results.part.part_mask
+        surface.cell_data["part"] = results.part.part_mask
     return _whole(surface, previous_results.symmetry_planes(results.summary))
 
 
 def _split_part(surface: Any) -> tuple[Any, Any]:
     """The part that the scene selects, and what is cut off it; None where nothing is."""
-    own = np.asarray(surface.cell_data["own"]) != 0 if "own" in surface.cell_data else np.ones(surface.n_cells, bool)
-    if own.all() or not own.any():
+    marked = "part" in surface.cell_data
+    in_part = np.asarray(surface.cell_data["part"]) != 0 if marked else np.ones(surface.n_cells, bool)
+    if in_part.all() or not in_part.any():
         return surface, None
-    return tuple(surface.extract_cells(np.flatnonzero(some)).extract_surface() for some in (own, ~own))
+    return tuple(surface.extract_cells(np.flatnonzero(some)).extract_surface() for some in (in_part, ~in_part))
 
 
 def _range(part: StoredPart) -> tuple[float, float]:

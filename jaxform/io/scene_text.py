@@ -111,16 +111,16 @@ def _parison(made: Draft) -> list[str]:
     if made.drape is not None:
         where = f"in a frame {_number(1e3 * made.drape.margin, 3)} mm around the buck, which is behind it"
     if isinstance(shape, Circle):
-        own = ['shape = "disc"', f"radius = {_number(shape.radius)}"]
+        shape_lines = ['shape = "disc"', f"radius = {_number(shape.radius)}"]
     elif isinstance(shape, OrientedRectangle):
-        own = ['shape = "rectangle"', f"size = [{', '.join(map(_number, shape.sides))}]"]
+        shape_lines = ['shape = "rectangle"', f"size = [{', '.join(map(_number, shape.sides))}]"]
     else:
-        own = ['shape = "outline"', "polygon = [", *_corners(made.polygon), "]"]
+        shape_lines = ['shape = "outline"', "polygon = [", *_corners(made.polygon), "]"]
     return [
         "",
         f"# The sheet lies in z = 0, clamped {where}.",
         "[parison]",
-        *own,
+        *shape_lines,
         f"element_size = {_number(made.element_size)}",
         f"thickness = {_number(made.thickness)}  # a guess from the width of the sheet: give yours",
     ]

@@ -43,8 +43,8 @@ def part_view(
     corners = 1e3 * np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)]
     images = [1e3 * image for image in mirror_points(scene, corners / 1e3, open_front=True)]
     wall = 1e3 * np.asarray(result.element_thickness, float)
-    own = np.asarray(restrict_to_part(result, scene)[0].used)
-    wall = np.tile(np.where(own, wall, np.nan), len(images))
+    in_part = np.asarray(restrict_to_part(result, scene)[0].used)
+    wall = np.tile(np.where(in_part, wall, np.nan), len(images))
     part = DrawnSurface(np.concatenate(images), wall, edges=edges)
     mold, outline = _mold(scene, part.faces)
     place = None if mark is None else 1e3 * np.asarray(mark)
@@ -179,8 +179,8 @@ def counted_elements(
     formed = formed_elements(start, end, triangles)
     if part is None or not np.any(part):
         return formed
-    own = np.asarray(part) != 0
-    return formed & own if (formed & own).any() else own
+    in_part = np.asarray(part) != 0
+    return formed & in_part if (formed & in_part).any() else in_part
 
 
 def color_range(values: Array, area: Array, most: float = _MOST) -> tuple[float, float]:
@@ -189,8 +189,8 @@ def color_range(values: Array, area: Array, most: float = _MOST) -> tuple[float,
     share = np.cumsum(area[order]) / area.sum()
     last = min(int(np.searchsorted(share, most)), len(values) - 1)
     low, high = float(values.min()), float(values[order[last]])
-    room = 0.05 * max(abs(low), abs(high))
-    return (low, high) if high - low > 0.02 * room else (low - room, high + room)
+    margin = 0.05 * max(abs(low), abs(high))
+    return (low, high) if high - low > 0.02 * margin else (low - margin, high + margin)
 
 
 def distinguishable_points(across: Array, up: Array) -> NDArray[np.int64]:

@@ -34,10 +34,10 @@ def _warn_of_modes(scene: Scene, file: str) -> None:
     modes = scene.material.viscous
     if modes is None:
         return
-    whole, own = float(scene.law.elastic.stiffness().mean()), float(modes.stiffness().mean())
-    if own < _WEAK_MODES * whole:
+    elastic, viscous = float(scene.law.elastic.stiffness().mean()), float(modes.stiffness().mean())
+    if viscous < _WEAK_MODES * elastic:
         modulus = np.asarray(modes.modulus, float)
-        problem = f"the Prony terms are {own / whole:.1g} times as stiff as the elastic model: modulus is in Pa"
+        problem = f"the Prony terms are {viscous / elastic:.1g} times as stiff as the elastic model: modulus is in Pa"
         remedy = "if they are relative moduli, as in Abaqus and Ansys, multiply them by the instantaneous shear modulus"
         warn_of(problem, remedy, key="material.viscous.modulus", value=modulus.tolist(), file=file)
 

@@ -131,8 +131,8 @@ def over_blocks(
 
 def read_rows(flat: jax.Array, count: int, first: jax.Array, size: int) -> list[jax.Array]:
     """Entries (size,) from `first` on of each of the `count` rows that lie one after the other in `flat`."""
-    room = flat.size // count
-    return [slice_at(flat, k * room + first, size) for k in range(count)]
+    capacity = flat.size // count
+    return [slice_at(flat, k * capacity + first, size) for k in range(count)]
 
 
 def slice_at(array: jax.Array, begin: jax.Array | int, size: int) -> jax.Array:
@@ -221,16 +221,16 @@ def _write_back(into: jax.Array | ArraySlice, new: jax.Array) -> jax.Array:
 
 def _write_rows(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
     """Row by row: stacked first they would be one loop with a branch in it, which is not vectorized."""
-    room = flat.size // len(rows)
+    capacity = flat.size // len(rows)
     for k, row in enumerate(rows):
-        begin = k * room + first
+        begin = k * capacity + first
         for part in row if isinstance(row, Halves) else (row,):
             flat = put(flat, part.astype(flat.dtype), begin)
             begin += part.size
     return flat
 
 
-def compact_indices(keep: jax.Array, room: int, count: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
+def compact_indices(keep: jax.Array, capacity: int, count: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
     """Indices (room,) of the marked entries (n,), one after the other, then any others; and the number marked.
 
     Of the first `count` entries, or of all.
@@ -238,7 +238,7 @@ def compact_indices(keep: jax.Array, room: int, count: jax.Array | None = None) 
     if not on_cpu():
         keep = keep if count is None else keep & (jnp.arange(keep.size) < count)
         running = running_count(keep)
-        place = jnp.searchsorted(running, jnp.arange(1, room + 1, dtype=jnp.int32))
+        place = jnp.searchsorted(running, jnp.arange(1, capacity + 1, dtype=jnp.int32))
         return jnp.minimum(place, keep.size - 1).astype(jnp.int32), running[-1]
 
     def add(i: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -247,8 +247,8 @@ def compact_indices(keep: jax.Array, room: int, count: jax.Array | None = None) 
         return put(places, i.astype(jnp.int32)[None], count), count + entry(keep, i)
 
     # One more, for what finds no room.
-    places, found = _sequential_loop(keep, add, room + 1, count)
-    return places[:room], found
+    places, found = _sequential_loop(keep, add, capacity + 1, count)
+    return places[:capacity], found
 
 
 def running_count(keep: jax.Array, count: jax.Array | None = None) -> jax.Array:
@@ -265,10 +265,10 @@ def running_count(keep: jax.Array, count: jax.Array | None = None) -> jax.Array:
 
 
 def _sequential_loop(
-    keep: jax.Array, add: Callable[..., tuple[jax.Array, jax.Array]], room: int, count: jax.Array | None
+    keep: jax.Array, add: Callable[..., tuple[jax.Array, jax.Array]], capacity: int, count: jax.Array | None
 ) -> tuple[jax.Array, jax.Array]:
     """A loop over the entries: one short function, where sums in parallel are a dozen that take long to compile."""
-    start = jnp.zeros(room, jnp.int32), jnp.int32(0)
+    start = jnp.zeros(capacity, jnp.int32), jnp.int32(0)
     return jax.lax.fori_loop(0, keep.size if count is None else count, add, start)
 
 

@@ -99,18 +99,18 @@ def _value(
 
     made, shapes = jax.make_jaxpr(with_residuals, return_shape=True)(*given)
     variables, place = list(map(id, made.jaxpr.invars)), []
-    own = []
+    residual_indices = []
     for k, variable in enumerate(made.jaxpr.outvars[len(leaves) :], len(leaves)):
         if id(variable) not in variables:
             variables.append(id(variable))
-            own.append(k)
+            residual_indices.append(k)
         place.append(variables.index(id(variable)))
 
     def take(now: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
         results = jaxpr_as_fun(made)(*constants, *now[0])
-        return results[: len(leaves)], [results[k] for k in own]
+        return results[: len(leaves)], [results[k] for k in residual_indices]
 
-    none = [jnp.zeros(shapes[k].shape, shapes[k].dtype) for k in own]
+    none = [jnp.zeros(shapes[k].shape, shapes[k].dtype) for k in residual_indices]
     results, kept = lax_cond_once(asked, take, (list(leaves), none))
     return results, _BranchResiduals(asked, given, kept, tuple(place), structures[-1], here)
 

@@ -29,12 +29,12 @@ def bucket_size(count: int, first: int, ratio: float = 2.0) -> int:
     return next(length for k in itertools.count() if (length := round(first * ratio**k)) >= count)
 
 
-def staggered_capacity(room: int, block: int = BLOCK) -> int:
+def staggered_capacity(capacity: int, block: int = BLOCK) -> int:
     """Room for as much or somewhat more, in so many blocks that rows of numbers do not share the cache's sets.
 
     Rows that are a multiple of 4096 bytes apart do: an odd number of eighths of that keeps them apart.
     """
-    return room + block if (room // block + 1) % 8 == 0 else room
+    return capacity + block if (capacity // block + 1) % 8 == 0 else capacity
 
 
 def element_capacity(count: int) -> int:
@@ -54,21 +54,21 @@ def refined_capacity(count: int) -> int:
 
 def _block_multiple(count: int, first: int) -> int:
     return staggered_capacity(
-        next(room for k in itertools.count() if (room := BLOCK * round(first * _RATIO**k / BLOCK)) >= count)
+        next(capacity for k in itertools.count() if (capacity := BLOCK * round(first * _RATIO**k / BLOCK)) >= count)
     )
 
 
-def node_capacity(count: int, room: int) -> int:
+def node_capacity(count: int, capacity: int) -> int:
     """Room for the nodes of a mesh with room for so many elements, and for one more.
 
     A sheet has half as many nodes as elements, and half as many more as its rim has.
     """
-    return staggered_capacity(bucket_size(count + 1, int(0.5 * room + _RIM * room**0.5) + 8, _RATIO))
+    return staggered_capacity(bucket_size(count + 1, int(0.5 * capacity + _RIM * capacity**0.5) + 8, _RATIO))
 
 
-def pair_capacity(count: int, room: int) -> int:
+def pair_capacity(count: int, capacity: int) -> int:
     """Room for the pairs of elements of a mesh with room for so many elements, and for one more."""
-    return staggered_capacity(bucket_size(count + 1, int(_PAIRS * room)), BLOCK // 2)
+    return staggered_capacity(bucket_size(count + 1, int(_PAIRS * capacity)), BLOCK // 2)
 
 
 def half_edge_capacity(count: int, triangles: int) -> int:
@@ -78,7 +78,7 @@ def half_edge_capacity(count: int, triangles: int) -> int:
 
 def table_row_capacity(count: int) -> int:
     """Rows of an assembly's table."""
-    return next(room for room in _ROWS if room >= count)
+    return next(capacity for capacity in _ROWS if capacity >= count)
 
 
 def valence_capacity(count: int) -> int:

@@ -96,7 +96,10 @@ def match_mesh_axes(leaves: Sequence[Any]) -> list[Any]:
     if not axes:
         return list(leaves)
     missing = [tuple(sorted(axes - jax.typeof(leaf).manual_axis_type.varying)) for leaf in leaves]
-    return [jax.lax.pcast(leaf, own, to="varying") if own else leaf for leaf, own in zip(leaves, missing, strict=True)]
+    return [
+        jax.lax.pcast(leaf, is_missing, to="varying") if is_missing else leaf
+        for leaf, is_missing in zip(leaves, missing, strict=True)
+    ]
 
 
 def type_like(shape: tuple[int, ...], dtype: Any, example: Any) -> Any:

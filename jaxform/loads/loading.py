@@ -56,7 +56,7 @@ class Loading:
 
     follows_volume: ClassVar[bool] = True
 
-    def at(self, time: jax.Array, volume: Any, *own: Any) -> jax.Array:
+    def at(self, time: jax.Array, volume: Any, *state: Any) -> jax.Array:
         """Pressure [Pa] at a time [s], with so much volume [m^3] of the modelled part between the sheet and its origin.
 
         The volume is not worked out, but None, where the pressure does not follow it; its own state is not given where
@@ -68,9 +68,9 @@ class Loading:
         """Its own state at time 0, with so much volume [m^3]; None where it has none, as by default."""
         return None
 
-    def after(self, own: Any, interval: Interval) -> Any:
+    def after(self, state: Any, interval: Interval) -> Any:
         """Its own state at the end of an interval; by default what it was."""
-        return own
+        return state
 
     def pushes(self, end_time: float, volume: float) -> np.ndarray:
         """Pressures [Pa] of the process, by which one tells how much and which way it pushes; of numbers, not traced.
@@ -102,14 +102,14 @@ class LoadState:
 
 def first_pressure(loading: Loading, volume: jax.Array) -> LoadState:
     """At time 0, with so much volume [m^3]."""
-    own = jax.tree.map(_array, loading.start(volume))
-    return LoadState(_pressure(loading, jnp.zeros_like(volume), volume, own), own)
+    state = jax.tree.map(_array, loading.start(volume))
+    return LoadState(_pressure(loading, jnp.zeros_like(volume), volume, state), state)
 
 
 def next_pressure(loading: Loading, last: LoadState, interval: Interval) -> LoadState:
     """At the end of an interval, with what it was at its begin."""
-    own = None if last.state is None else jax.tree.map(_array, loading.after(last.state, interval))
-    return LoadState(_pressure(loading, interval.time, interval.volume, own), own)
+    state = None if last.state is None else jax.tree.map(_array, loading.after(last.state, interval))
+    return LoadState(_pressure(loading, interval.time, interval.volume, state), state)
 
 
 def _array(values: Any) -> jax.Array:
@@ -117,8 +117,8 @@ def _array(values: Any) -> jax.Array:
     return as_real(values) if jnp.issubdtype(jnp.result_type(values), jnp.inexact) else jnp.asarray(values)
 
 
-def _pressure(loading: Loading, time: jax.Array, volume: jax.Array, own: Any) -> jax.Array:
-    return loading.at(time, volume) if own is None else loading.at(time, volume, own)
+def _pressure(loading: Loading, time: jax.Array, volume: jax.Array, state: Any) -> jax.Array:
+    return loading.at(time, volume) if state is None else loading.at(time, volume, state)
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))

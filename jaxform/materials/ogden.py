@@ -77,7 +77,7 @@ class Ogden(PlaneLaw):
             problem = f"has {len(alpha)} numbers, mu has {len(mu)}"
             raise InputError(problem, "give one for each term", "material.alpha")
         # Of zones each place is looked at.
-        mu, alpha = np.broadcast_arrays(*(own if own.ndim > 1 else own[:, None] for own in (mu, alpha)))
+        mu, alpha = np.broadcast_arrays(*(values if values.ndim > 1 else values[:, None] for values in (mu, alpha)))
         if not np.all(alpha):
             raise InputError("has an exponent of 0", "leave that term out", "material.alpha", alpha[:, 0].tolist())
         if np.any(soft := np.sum(mu * alpha, axis=0) <= 0):

@@ -67,8 +67,8 @@ class Wlf(Shift):
         """The factor at temperatures [degC], of their shape."""
         above = temperature - self.reference
         # Where it has no value the sheet is glass.
-        room = jnp.maximum(self.c2 + above, _LEAST * self.c2)
-        return jnp.exp(jnp.minimum(-jnp.log(10.0) * self.c1 * above / room, _GLASS))
+        difference = jnp.maximum(self.c2 + above, _LEAST * self.c2)
+        return jnp.exp(jnp.minimum(-jnp.log(10.0) * self.c1 * above / difference, _GLASS))
 
     def coldest(self) -> jax.Array:
         """The temperature [degC] at which the factor has a pole."""

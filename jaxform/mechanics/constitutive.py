@@ -120,9 +120,9 @@ def stress_and_change(
     if response.material.held_taut:
         g = relaxed_metric(g, inverse)
     # Both divide; kept, they are worked out once instead of for each of the six components.
-    own, rate = materialize(jax.jvp(factors, (g,), (change,)))
-    b = own[1]
-    s = stress(g, inverse, own)
+    stress_pair, rate = materialize(jax.jvp(factors, (g,), (change,)))
+    b = stress_pair[1]
+    s = stress(g, inverse, stress_pair)
     ds = plus(stress(g, inverse, rate), (b * change[2], -b * change[1], b * change[0]))
     memory = response.memory
     if memory is not None:

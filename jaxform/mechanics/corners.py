@@ -81,9 +81,11 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     """
     rows, response = unstack_rows(load.positions), load.response
 
-    def work(own: ElementBlock, thickness: jax.Array, zones: Any) -> Any:
-        corners, volume, _ = _forces(rows, own, thickness, load.pressure, elements.origin, response.with_numbers(zones))
-        return combine_pairs(corners, own), [volume]
+    def work(block: ElementBlock, thickness: jax.Array, zones: Any) -> Any:
+        corners, volume, _ = _forces(
+            rows, block, thickness, load.pressure, elements.origin, response.with_numbers(zones)
+        )
+        return combine_pairs(corners, block), [volume]
 
     corners, (volume,) = map_elements(work, elements, (load.thickness, response.zones), into)
     return add_overflow(corners, elements), volume / 6.0
@@ -105,14 +107,14 @@ def viscous_corner_forces(
     zones = {name: values for name, values in response.zones.items() if name != "memory.rest"}
     varying, single = _split_varying(recursion)
 
-    def work(old: Any, own: ElementBlock, thickness: jax.Array, zones: Any, varying: Any, own_modes: Any) -> Any:
+    def work(old: Any, block: ElementBlock, thickness: jax.Array, zones: Any, varying: Any, block_modes: Any) -> Any:
         # As they are: put together, the rows would be copied.
         present = response.with_numbers(zones | {"memory.rest": old[0]})
-        corners, volume, found = _forces(rows, own, thickness, load.pressure, elements.origin, present)
+        corners, volume, found = _forces(rows, block, thickness, load.pressure, elements.origin, present)
         assert found is not None
-        rate = (own_modes or modes).loss(found.modes, found.strained)
-        lost = jnp.where(own.area > 0.0, own.area * thickness * rate, 0.0)
-        return [found.updated_history(Recursion(**(varying | single))), *combine_pairs(corners, own)], [volume, lost]
+        rate = (block_modes or modes).loss(found.modes, found.strained)
+        lost = jnp.where(block.area > 0.0, block.area * thickness * rate, 0.0)
+        return [found.updated_history(Recursion(**(varying | single))), *combine_pairs(corners, block)], [volume, lost]
 
     inputs = element_block(elements), load.thickness, zones, varying, _per_element_modes(modes)
     (rest, *corners), (volume, loss) = over_blocks(
@@ -145,10 +147,10 @@ def present_mode_stress(load: Load, elements: Elements, modes: Modes, *, differe
         return HistoryUpdate(jnp.stack(stress), jnp.sum(lost))
     zones = {"gain": memory.gain} if memory.gain.ndim == 2 else {}
 
-    def update_block(old: Any, triangles: jax.Array, inverse: Any, volume: Any, zones: Any, own_modes: Any) -> Any:
+    def update_block(old: Any, triangles: jax.Array, inverse: Any, volume: Any, zones: Any, block_modes: Any) -> Any:
         _, edge1, edge2 = edges(rows, triangles)
         present = dataclasses.replace(memory, history=old[0], **zones)
-        stress, lost = work(metric(edge1, edge2), inverse, volume[0] * volume[1], present, own_modes or modes)
+        stress, lost = work(metric(edge1, edge2), inverse, volume[0] * volume[1], present, block_modes or modes)
         return [stress], [lost]
 
     inputs = (
@@ -176,13 +178,13 @@ def _split_varying(recursion: Recursion) -> tuple[dict[str, jax.Array], dict[str
 
 
 def _forces(
-    rows: Vector, own: ElementBlock, thickness: jax.Array, pressure: jax.Array, origin: jax.Array, response: Response
+    rows: Vector, block: ElementBlock, thickness: jax.Array, pressure: jax.Array, origin: jax.Array, response: Response
 ) -> tuple[list[Vector], jax.Array, Overstress | None]:
     """The corners' forces, six times the volume below, and what viscous modes do."""
-    (sides,) = edge_vectors(own, rows)
-    (first, edge1, edge2), normal = sides, element_normals(sides, own)
+    (sides,) = edge_vectors(block, rows)
+    (first, edge1, edge2), normal = sides, element_normals(sides, block)
     g = metric(edge1, edge2)
-    s, found = materialized_stress(g, own.inverse_metric, own.area * thickness, response)
+    s, found = materialized_stress(g, block.inverse_metric, block.area * thickness, response)
     push = scale(pressure / 6.0, normal)
     pull2, pull3 = edge_forces(s, edge1, edge2)
     arm = minus(first, origin)
@@ -226,10 +228,10 @@ def corner_force_tangent(load: Load, elements: Elements, change: Load, into: Cor
     changed = _parameter_changes(load, change)
     zone_changes = {name: changed.pop(name) for name in zones if name in changed}
 
-    def work(own: ElementBlock, thickness: jax.Array, zones: Any, zone_changes: Any, *more: jax.Array) -> Any:
+    def work(block: ElementBlock, thickness: jax.Array, zones: Any, zone_changes: Any, *more: jax.Array) -> Any:
         present = response.with_numbers(zones)
-        (first, edge1, edge2), *others = sides = edge_vectors(own, *looked)
-        normal, inverse, area = element_normals(sides[0], own), own.inverse_metric, own.area
+        (first, edge1, edge2), *others = sides = edge_vectors(block, *looked)
+        normal, inverse, area = element_normals(sides[0], block), block.inverse_metric, block.area
         g, weight, share = metric(edge1, edge2), area * thickness, pressure_share(load.pressure, area)
         changes: list[Metric] = []
         pull2 = pull3 = push = scale(jnp.zeros_like(area), normal)
@@ -239,7 +241,7 @@ def corner_force_tangent(load: Load, elements: Elements, change: Load, into: Cor
             s, ds = stress_and_change(g, metric_change(edge1, edge2, w1, w2), inverse, weight, present)
             pull2, pull3 = edge_forces(s, w1, w2)
             changes.append(ds)
-            normal_change = orient(plus(cross(w1, edge2), cross(edge1, w2)), own)
+            normal_change = orient(plus(cross(w1, edge2), cross(edge1, w2)), block)
             push = scale(share, normal_change)
             volume = usage_factor(area) * (dot(w0, normal) + dot(minus(first, elements.origin), normal_change))
         for thicker in more:
@@ -255,7 +257,7 @@ def corner_force_tangent(load: Load, elements: Elements, change: Load, into: Cor
         if change.pressure is not None:
             push = plus(push, scale(change.pressure / 6.0, normal))
         pull2, pull3, push = materialize((pull2, pull3, push))
-        return combine_pairs(corner_shares(push, pull2, pull3), own), [volume]
+        return combine_pairs(corner_shares(push, pull2, pull3), block), [volume]
 
     inputs = load.thickness, zones, zone_changes, *thickened
     corners, (volume,) = map_elements(work, elements, inputs, into)

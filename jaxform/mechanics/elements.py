@@ -103,9 +103,9 @@ def add_overflow(corners: Corners, elements: Elements) -> Corners:
     return [new.reshape(corner.shape) for new, corner in zip(flat, corners, strict=True)]
 
 
-def gather_shares(corners: Corners, own: GatherTable) -> list[jax.Array]:
+def gather_shares(corners: Corners, table: GatherTable) -> list[jax.Array]:
     """Sum (n,) at nodes of their `own` shares of corner forces, component by component."""
-    flat, slots = [corner.reshape(-1) for corner in corners], own.slots
+    flat, slots = [corner.reshape(-1) for corner in corners], table.slots
 
     def add(k: jax.Array, totals: list[jax.Array]) -> list[jax.Array]:
         return [total + gather(corner, slots[k]) for total, corner in zip(totals, flat, strict=True)]
@@ -114,7 +114,7 @@ def gather_shares(corners: Corners, own: GatherTable) -> list[jax.Array]:
     totals = gather_sum(flat, slots[:usual])
     if len(slots) > usual:
         # Few nodes have more, and they are packed together.
-        totals = jax.lax.fori_loop(usual, own.row_count, add, totals)
+        totals = jax.lax.fori_loop(usual, table.row_count, add, totals)
     return totals
 
 
@@ -164,18 +164,18 @@ class EdgeVectors(NamedTuple):
     edge2: Vector
 
 
-def edge_vectors(own: ElementBlock, *nodal: Vector) -> list[EdgeVectors]:
+def edge_vectors(block: ElementBlock, *nodal: Vector) -> list[EdgeVectors]:
     """The edge vectors of several nodal fields at once, looked up together and materialized for all uses."""
     rows = [row for values in nodal for row in values]
-    places = list(own.triangles)
-    if own.orientation is not None:
+    places = list(block.triangles)
+    if block.orientation is not None:
         # Both elements of a pair have the nodes of the common edge.
         places[:2] = [split_halves(nodes).first for nodes in places[:2]]
     corners = [gather_rows(rows, nodes) for nodes in places]
 
     def at_elements(first: Vector, second: Vector, third: Vector) -> EdgeVectors:
         edge1 = minus(second, first)
-        if own.orientation is not None:
+        if block.orientation is not None:
             first, edge1 = (materialize(_duplicate_halves(v)) for v in materialize((first, edge1)))
         return EdgeVectors(first, *materialize((edge1, minus(third, first))))
 
@@ -187,9 +187,9 @@ def _duplicate_halves(v: Vector) -> Vector:
     return vector(Halves(x, x).concatenate() for x in v)
 
 
-def combine_pairs(corners: Sequence[Vector], own: ElementBlock) -> list[Any]:
+def combine_pairs(corners: Sequence[Vector], block: ElementBlock) -> list[Any]:
     """Corner forces, component by component; of a pair's elements they are summed up at the common edge's ends."""
-    if own.orientation is None:
+    if block.orientation is None:
         return list(corners)
 
     def sum_halves(part: jax.Array) -> jax.Array:
@@ -220,17 +220,17 @@ def masked_metrics(there: jax.Array, g: Metric, inverse: jax.Array) -> tuple[Met
     return safe(g), safe(inverse)
 
 
-def element_normals(sides: EdgeVectors, own: ElementBlock) -> Vector:
+def element_normals(sides: EdgeVectors, block: ElementBlock) -> Vector:
     """Twice the current area long (n,), and nothing where the place is not in use; kept for all its uses."""
     normal = cross(sides.edge1, sides.edge2)
-    if own.orientation is not None:
-        return materialize(vector(own.orientation * x for x in normal))
-    return materialize(vector(jnp.where(own.area > 0.0, x, 0.0) for x in normal))
+    if block.orientation is not None:
+        return materialize(vector(block.orientation * x for x in normal))
+    return materialize(vector(jnp.where(block.area > 0.0, x, 0.0) for x in normal))
 
 
-def orient(v: Vector, own: ElementBlock) -> Vector:
+def orient(v: Vector, block: ElementBlock) -> Vector:
     """A change (n,) of what `element_normals` makes the normal of; unused places are masked elsewhere."""
-    return v if own.orientation is None else vector(own.orientation * x for x in v)
+    return v if block.orientation is None else vector(block.orientation * x for x in v)
 
 
 def usage_factor(area: jax.Array) -> jax.Array:

@@ -88,7 +88,7 @@ def corner_cotangents(
         normal, inverse, area = element_normals(sides[0], block), block.inverse_metric, block.area
         weight, pressure = area * thickness, pressure_share(load.pressure, area)
         sums: list[jax.Array] = []
-        own_shares: list[Vector] = []
+        force_shares: list[Vector] = []
         own = edge1_cotangent = edge2_cotangent = scale(jnp.zeros_like(area), normal)
         turn = own
         if pushed is not None:
@@ -97,7 +97,7 @@ def corner_cotangents(
             g, g_change = metric(edge1, edge2), materialize(metric_change(edge1, edge2, w1, w2))
             s, ds = stress_and_change(g, g_change, inverse, weight, present)
             if forces:
-                own_shares = corner_shares(scale(load.pressure / 6.0, normal), *edge_forces(s, edge1, edge2))
+                force_shares = corner_shares(scale(load.pressure / 6.0, normal), *edge_forces(s, edge1, edge2))
             if moves:
                 pull1, pull2 = edge_forces(ds, edge1, edge2)
                 more1, more2 = edge_forces(s, w1, w2)
@@ -133,7 +133,7 @@ def corner_cotangents(
         cotangent1 = materialize(plus(edge1_cotangent, cross(edge2, turn)))
         cotangent2 = materialize(plus(edge2_cotangent, cross(turn, edge1)))
         own = minus(minus(own, cotangent1), cotangent2)
-        corners = list(zip(own, cotangent1, cotangent2, strict=True)) + own_shares
+        corners = list(zip(own, cotangent1, cotangent2, strict=True)) + force_shares
         return [*old, *combine_pairs(corners, block)], sums
 
     numbers = sum(number.size for number in single.values()) if varies else 0

@@ -187,12 +187,12 @@ def _assemble_instances(model: _Model) -> list[_Scope]:
     if not model.instances:
         return list(model.parts.values())
     scopes = []
-    for name, own, numbers in model.instances:
+    for name, content, numbers in model.instances:
         part = model.parts.get(name)
-        if part is None and not own.nodes:
+        if part is None and not content.nodes:
             raise InputError(f"has an instance of part {name!r}, which does not exist", "export it again")
         part = part or _Scope()
-        scope = _Scope(part.nodes | own.nodes, part.faces + own.faces, part.solid, part.curved)
+        scope = _Scope(part.nodes | content.nodes, part.faces + content.faces, part.solid, part.curved)
         scopes.append(_transform(scope, name, numbers))
     return scopes
 

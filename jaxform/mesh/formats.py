@@ -47,7 +47,7 @@ def read_faces(path: Path, further: bool = False) -> Faces:
     if not content:
         raise InputError("is empty", REEXPORT, value=value)
     try:
-        with _silence() as told:
+        with _silence() as messages:
             faces = readers[ending](content, value)
     except InputError as error:
         raise replace(error, value=value) from None
@@ -55,7 +55,7 @@ def read_faces(path: Path, further: bool = False) -> Faces:
     except (Exception, SystemExit):
         problem = f"is not a readable {ending[1:].upper()} file or is incomplete"
         raise InputError(problem, REEXPORT, value=value) from None
-    for words in told:
+    for words in messages:
         warnings.warn(words.message, stacklevel=2)
     return faces
 

@@ -299,13 +299,13 @@ def _faces(read: _MshContent) -> Faces:
     if not straight:
         raise missing_surface_error(solid=any(kind in _SOLID for kind in read.elements))
     numbers, places = _sort_nodes(np.concatenate(read.numbers), np.concatenate(read.points))
-    own, corners, counts = [], [], []
+    cell_numbers, corners, counts = [], [], []
     for kind in straight:
         for number, nodes in read.elements[kind]:
-            own.append(number)
+            cell_numbers.append(number)
             corners.append(locate_numbers(nodes.reshape(-1), numbers))
             counts.append(np.full(len(nodes), nodes.shape[1]))
-    cells = np.concatenate(own)
+    cells = np.concatenate(cell_numbers)
     return Faces(
         places,
         np.concatenate(corners),

@@ -245,8 +245,8 @@ def _counts(rim: float) -> Index:
     None hardly differs from that of the rim: the last rings have as many as the rim, as many as a regular band needs.
     """
     powers, last = 2 ** np.arange(_POWERS), max(1, math.floor(rim + 0.5))
-    ladder = _UNIT * np.sort(np.concatenate([powers, 3 * powers]))
-    lower, higher = ladder[ladder <= _APART * last], ladder[ladder * _APART >= last]
+    sizes = _UNIT * np.sort(np.concatenate([powers, 3 * powers]))
+    lower, higher = sizes[sizes <= _APART * last], sizes[sizes * _APART >= last]
     between = _UNIT * round(math.sqrt(lower[-1] * last) / _UNIT) if len(lower) and 1.5 * lower[-1] < last else last
     return np.concatenate([lower, np.unique([between, last]), higher])
 

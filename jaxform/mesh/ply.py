@@ -117,11 +117,11 @@ def _truncation_error(element: _Element, there: int) -> InputError:
 
 def _fill_element(element: _Element, columns: list[Array], counts: list[Array]) -> None:
     """Sets the numbers of an element; of scalars the columns are (n,), of lists all their numbers."""
-    for own, column, count in zip(element.properties, columns, counts, strict=True):
-        if own.count_type:
-            element.lists[own.name] = (count, column)
+    for prop, column, count in zip(element.properties, columns, counts, strict=True):
+        if prop.count_type:
+            element.lists[prop.name] = (count, column)
         else:
-            element.scalars[own.name] = column
+            element.scalars[prop.name] = column
 
 
 class _PlyBinary:
@@ -140,10 +140,10 @@ class _PlyBinary:
             _fill_element(element, *_empty_columns(element))
             return True
         lengths, place = [], self.place
-        for own in element.properties:
+        for prop in element.properties:
             length = 1
-            if own.count_type:
-                kind = np.dtype(self.order + own.count_type)
+            if prop.count_type:
+                kind = np.dtype(self.order + prop.count_type)
                 if place + kind.itemsize > len(self.body):
                     raise _truncation_error(element, 0)
                 length = int(np.frombuffer(self.body, kind, 1, place)[0])
@@ -151,20 +151,20 @@ class _PlyBinary:
             if length < 0 or place + length > len(self.body):
                 return False
             lengths.append(length)
-            place += length * np.dtype(own.type).itemsize
+            place += length * np.dtype(prop.type).itemsize
         fields: list[Any] = []
-        for k, (own, length) in enumerate(zip(element.properties, lengths, strict=True)):
-            fields += [(f"n{k}", self.order + own.count_type)] if own.count_type else []
-            fields.append((f"v{k}", self.order + own.type, (length,)))
+        for k, (prop, length) in enumerate(zip(element.properties, lengths, strict=True)):
+            fields += [(f"n{k}", self.order + prop.count_type)] if prop.count_type else []
+            fields.append((f"v{k}", self.order + prop.type, (length,)))
         item = np.dtype(fields)
         there = (len(self.body) - self.place) // item.itemsize
-        listed = any(own.count_type for own in element.properties)
+        listed = any(prop.count_type for prop in element.properties)
         if there < element.count and not listed:
             raise _truncation_error(element, there)
         if there < element.count:
             return False
         rows = np.frombuffer(self.body, item, element.count, self.place)
-        counts = [rows[f"n{k}"] if own.count_type else np.zeros(0) for k, own in enumerate(element.properties)]
+        counts = [rows[f"n{k}"] if prop.count_type else np.zeros(0) for k, prop in enumerate(element.properties)]
         if any((count != length).any() for count, length in zip(counts, lengths, strict=True)):
             return False
         self.place += rows.nbytes
@@ -174,8 +174,8 @@ class _PlyBinary:
     def _read_each(self, element: _Element) -> None:
         columns: list[list[Array]] = [[] for _ in element.properties]
         counts: list[list[int]] = [[] for _ in element.properties]
-        kinds = [np.dtype(self.order + own.type) for own in element.properties]
-        heads = [np.dtype(self.order + own.count_type) if own.count_type else None for own in element.properties]
+        kinds = [np.dtype(self.order + prop.type) for prop in element.properties]
+        heads = [np.dtype(self.order + prop.count_type) if prop.count_type else None for prop in element.properties]
         place = self.place
         for item in range(element.count):
             for k, (kind, head) in enumerate(zip(kinds, heads, strict=True)):
@@ -212,12 +212,12 @@ class _PlyText:
     def _read_uniform(self, element: _Element) -> bool:
         """Reads items whose lists are as long as those of the first one; False where they are not."""
         starts, place = [], 0
-        for own in element.properties:
-            place += bool(own.count_type)
-            length = self._length(self.place + place - 1) if own.count_type else 1
+        for prop in element.properties:
+            place += bool(prop.count_type)
+            length = self._length(self.place + place - 1) if prop.count_type else 1
             starts.append((place, length))
             place += length
-        listed = [place - 1 for (place, _), own in zip(starts, element.properties, strict=True) if own.count_type]
+        listed = [place - 1 for (place, _), prop in zip(starts, element.properties, strict=True) if prop.count_type]
         there = (len(self.numbers) - self.place) // place if place else 0
         if there < element.count and not listed:
             raise _truncation_error(element, there)
@@ -228,7 +228,7 @@ class _PlyText:
             return False
         self.place += rows.size
         columns = [
-            _cast(rows[:, at : at + length].reshape(-1), own) for (at, length), own in _pair_starts(starts, element)
+            _cast(rows[:, at : at + length].reshape(-1), prop) for (at, length), prop in _pair_starts(starts, element)
         ]
         _fill_element(element, columns, [rows[:, at - 1].astype(np.int64) for at, _ in starts])
         return True
@@ -244,16 +244,16 @@ class _PlyText:
         counts: list[list[int]] = [[] for _ in element.properties]
         place = self.place
         for item in range(element.count):
-            for k, own in enumerate(element.properties):
-                length = self._length(place) if own.count_type else 1
-                place += bool(own.count_type)
+            for k, prop in enumerate(element.properties):
+                length = self._length(place) if prop.count_type else 1
+                place += bool(prop.count_type)
                 if place + length > len(self.numbers):
                     raise _truncation_error(element, item)
                 counts[k].append(length)
                 columns[k].append(self.numbers[place : place + length])
                 place += length
         self.place = place
-        joined = [_cast(np.concatenate(column), own) for column, own in zip(columns, element.properties, strict=True)]
+        joined = [_cast(np.concatenate(column), prop) for column, prop in zip(columns, element.properties, strict=True)]
         _fill_element(element, joined, [np.array(count) for count in counts])
 
 
@@ -261,8 +261,8 @@ def _pair_starts(starts: list[tuple[int, int]], element: _Element) -> zip[tuple[
     return zip(starts, element.properties, strict=True)
 
 
-def _cast(numbers: Array, own: _Property) -> Array:
-    return numbers if own.type.startswith("f") else numbers.astype(np.int64)
+def _cast(numbers: Array, prop: _Property) -> Array:
+    return numbers if prop.type.startswith("f") else numbers.astype(np.int64)
 
 
 def _empty_columns(element: _Element) -> tuple[list[Array], list[Array]]:

@@ -82,4 +82,6 @@ def field[T: Field](cls: type[T]) -> type[T]:
 
 def advance_fields(fields: dict[str, Field], values: dict[str, jax.Array], step: Surroundings) -> dict[str, jax.Array]:
     """The values of all fields at the end of a step."""
-    return {name: jnp.broadcast_to(fields[name].after(own, step), own.shape) for name, own in values.items()}
+    return {
+        name: jnp.broadcast_to(fields[name].after(current, step), current.shape) for name, current in values.items()
+    }

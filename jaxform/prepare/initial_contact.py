@@ -91,17 +91,17 @@ def _contact_pairs(
     for part in np.split(node, np.flatnonzero(np.diff(np.cumsum(count) // _CHUNK)) + 1):
         count = (start[cell + 1] - start[cell])[part]
         rows = listed[np.repeat(start[cell[part]] - np.cumsum(count) + count, count) + np.arange(count.sum())]
-        own = np.repeat(part, count)
+        candidate = np.repeat(part, count)
         # The plane and the sphere round a triangle rule out nearly all.
-        height = np.einsum("ij,ij->i", outlines[rows, 4:7], positions[own]) - outlines[rows, 7]
+        height = np.einsum("ij,ij->i", outlines[rows, 4:7], positions[candidate]) - outlines[rows, 7]
         keep = np.flatnonzero(np.abs(height) <= near)
-        away = positions[own[keep]] - outlines[rows[keep], :3]
+        away = positions[candidate[keep]] - outlines[rows[keep], :3]
         keep = keep[np.einsum("ij,ij->i", away, away) <= np.square(outlines[rows[keep], 3] + near)]
         frame = frames[rows[keep]]
         corners = frame[:, None, :3] + np.stack([np.zeros_like(frame[:, :3]), frame[:, 12:15], frame[:, 15:]], 1)
-        gap = point_triangle_distance(positions[own[keep]], corners)
+        gap = point_triangle_distance(positions[candidate[keep]], corners)
         keep, gap = keep[gap <= near], gap[gap <= near]
-        found.append((own[keep], np.asarray(grid.number)[rows[keep]], gap))
+        found.append((candidate[keep], np.asarray(grid.number)[rows[keep]], gap))
     node, triangle, gap = (np.concatenate(values) for values in zip(*found, strict=True))
     return node, triangle, gap
 
@@ -155,7 +155,7 @@ def check_start(parison: Parison, triangles: NDArray[np.integer], mold: Mold, gr
 
 def find_initial_bisections(
     forest: bisection.TriangleForest,
-    lying: jax.Array | None,
+    in_contact: jax.Array | None,
     refinement: Refinement,
     bend: Bend | None,
     grid: SearchGrid,
@@ -166,7 +166,7 @@ def find_initial_bisections(
 
     Args:
         forest: The forest, with its nodes where they are when the run begins.
-        lying: Initial contact of the nodes (n_node,), as `Precomputed.initial_contact`.
+        in_contact: Initial contact of the nodes (n_node,), as `Precomputed.initial_contact`.
         refinement: Its limits.
         bend: Distance to the mold's bent parts, as in `BisectionHierarchy.bend`.
         grid: The mold's search structure.
@@ -175,8 +175,8 @@ def find_initial_bisections(
     side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     wanted = np.zeros(len(level), bool)
-    if lying is not None:
-        wanted = _partly_in_contact(forest, np.asarray(lying)) & (level < refinement.deepest)
+    if in_contact is not None:
+        wanted = _partly_in_contact(forest, np.asarray(in_contact)) & (level < refinement.deepest)
     if bend is not None:
         wanted |= (_bend_distance(corners.mean(1), bend, grid) < float(refinement.proximity_factor) * side) & (
             level < refinement.base_level

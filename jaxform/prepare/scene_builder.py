@@ -131,18 +131,20 @@ def build_scene(
     cooling = component_validation.validate_cooling(cooling, fields or {}, mold)
     component_validation.check_temperature(material, parison, cooling)
     carried = {
-        str(key): component_validation.validate_field(str(key), own, count, forest)
-        for key, own in (fields or {}).items()
+        str(key): component_validation.validate_field(str(key), one, count, forest)
+        for key, one in (fields or {}).items()
     }
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
-    grid = lying = None
+    grid = in_contact = None
     if mold is not None:
         component_validation.check_motion(mold, parison)
         grid = _search_grid(mold, positions, triangles, store)
         initial_contact.check_start(parison, triangles, mold, grid)
         pushes = sample_pressures(pressure, solver, parison)
-        parison, lying = _place_on_mold(parison, triangles if forest is None else forest.triangles, pushes, mold, grid)
+        parison, in_contact = _place_on_mold(
+            parison, triangles if forest is None else forest.triangles, pushes, mold, grid
+        )
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)
     sheet = _reference_sheet(parison, pressure)
@@ -153,7 +155,11 @@ def build_scene(
     if refinement is not None and forest is not None:
         check_capacity(refinement, len(triangles))
         bend = None if mold is None or grid is None or not refinement.base_level else bends(mold, grid, store)
-        fine = None if grid is None else initial_contact.find_initial_bisections(forest, lying, refinement, bend, grid)
+        fine = (
+            None
+            if grid is None
+            else initial_contact.find_initial_bisections(forest, in_contact, refinement, bend, grid)
+        )
         refinement = reserve_capacity(refinement, forest, fine)
         grown = pack_forest(forest, refinement, sheet, mobility, bend, fine)
         bound = grown.bound
@@ -177,7 +183,7 @@ def build_scene(
         box=None if mold is None else _box(mold, positions),
         grid=grid,
         forest=grown,
-        initial_contact=lying,
+        initial_contact=in_contact,
         window_count=window_count,
         planned=np.int32(window_count if steep else NEVER),
         longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest),

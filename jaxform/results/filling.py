@@ -169,9 +169,9 @@ def _places(scene: Scene, offset: Array) -> Array:
 
 def _first_gap(scene: Scene, push: float, places: Array) -> float:
     """The widest gap [m] before the initial sheet, for one that meets nothing straight along the push."""
-    parison, lying = scene.parison, scene.tables.initial_contact
+    parison, in_contact = scene.parison, scene.tables.initial_contact
     assert scene.mold is not None
-    wall = np.zeros(len(parison.positions), int) if lying is None else np.asarray(lying)
+    wall = np.zeros(len(parison.positions), int) if in_contact is None else np.asarray(in_contact)
     first, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     none = np.zeros(len(triangles), bool)
     start = first, triangles, wall, np.asarray(parison.clamped), push, scene.mold, scene.tables.grid

@@ -42,8 +42,8 @@ def thinnest_element(result: Result, scene: Scene) -> dict[str, Any]:
 def warnings_of_part(result: Result, scene: Scene) -> list[str]:
     """A sentence for each likely error in a part, with the remedy."""
     # Of a run that broke off, but for a sheet that ran away, the status says more.
-    told = Status.RUNAWAY | Status.ESCAPED | Status.BURST | Status.UNBALANCED | Status.UNFILLED
-    broken = int(result.status) & ~told
+    reported = Status.RUNAWAY | Status.ESCAPED | Status.BURST | Status.UNBALANCED | Status.UNFILLED
+    broken = int(result.status) & ~reported
     if broken or not np.isfinite(np.asarray(result.positions)).all():
         return []
     return [

@@ -226,8 +226,8 @@ def make_result(
     _, edge1, edge2 = membrane.edges(state.nodes.positions, sheet.triangles)
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
     # What has wrinkled is as thick as the material that lies in folds.
-    own = membrane.relax_strain(strain)[0] if scene.material.tension_field else strain
-    ratio = 1.0 / jnp.sqrt(own.determinant)
+    relaxed = membrane.relax_strain(strain)[0] if scene.material.tension_field else strain
+    ratio = 1.0 / jnp.sqrt(relaxed.determinant)
     count = now.mass.size
     counts = scene.tables.counts
     active, node, mobility = jnp.ones(count, bool), jnp.arange(count), scene.tables.mobility
@@ -309,11 +309,11 @@ def _change_of_temperature(
     walls = ThermalElements(now.temperature, wall, share, density)
     change = temperature_change(heat, cooling, walls, time)
     # Contact does not change after that.
-    begun = jnp.broadcast_to(time, change.shape)
-    walls = walls._replace(share=contact_share(nodes, sheet.triangles, begun, time))
+    since = jnp.broadcast_to(time, change.shape)
+    walls = walls._replace(share=contact_share(nodes, sheet.triangles, since, time))
     still = (state.status == 0) & is_at_rest(state, scene) & last
     end = jnp.where(still, jnp.maximum(scene.solver.end_time, time), time)
-    change = temperature_change(ThermalState(change, begun, change), cooling, walls, end)
+    change = temperature_change(ThermalState(change, since, change), cooling, walls, end)
     shares = jnp.stack([sheet.area, jnp.where(used, sheet.area * change, 0.0)])
     area, total = (membrane.sum_to_nodes(row, sheet.triangles, now.mass.size) for row in shares)
     return total / jnp.where(area > 0.0, area, 1.0)

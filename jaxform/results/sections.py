@@ -31,14 +31,14 @@ class SectionCurve(NamedTuple):
     place: Array
     thickness: Array
     arc: Array
-    own: NDArray[np.bool_] | None = None
+    in_part: NDArray[np.bool_] | None = None
     label: str = ""
     marked: float | None = None
 
     @property
     def part_thickness(self) -> Array:
         """Thickness (n,) [m] in the part, NaN outside."""
-        return self.thickness if self.own is None else np.where(self.own, self.thickness, np.nan)
+        return self.thickness if self.in_part is None else np.where(self.in_part, self.thickness, np.nan)
 
 
 def is_disc(scene: Scene) -> bool:
@@ -93,8 +93,8 @@ def curves(
             outwards = np.argsort(radius)
             marked = float(np.interp(np.hypot(*np.asarray(through)[:2]), radius[outwards], arc[outwards]))
         wall, place = np.asarray(result.thickness, float)[order], np.asarray(result.positions, float)[order]
-        own = None if part is None else _nodes_of(scene, part)[order]
-        return [SectionCurve(place, wall, arc[order], own, "all nodes", marked)]
+        in_part = None if part is None else _nodes_of(scene, part)[order]
+        return [SectionCurve(place, wall, arc[order], in_part, "all nodes", marked)]
     # Across the two longest sides of its box: along the third a sheet has next to no extent.
     longest = np.argsort(-np.ptp(start, axis=0), kind="stable")[:2]
     found = []
@@ -185,9 +185,9 @@ def cuts(
     place = end[edge[:, 0]] + share[:, None] * (end[edge[:, 1]] - end[edge[:, 0]])
     wall = np.asarray(result.thickness, float)
     value = wall[edge[:, 0]] + share * (wall[edge[:, 1]] - wall[edge[:, 0]])
-    own = None if part is None else _nodes_of(scene, part)[edge].all(1)
+    in_part = None if part is None else _nodes_of(scene, part)[edge].all(1)
     pieces = [
-        SectionCurve(place[path], value[path], arc_length(place[path]), None if own is None else own[path])
+        SectionCurve(place[path], value[path], arc_length(place[path]), None if in_part is None else in_part[path])
         for path in _chains(index.reshape(-1, 2))
     ]
     return sorted(pieces, key=lambda piece: -piece.arc[-1])

@@ -314,45 +314,45 @@ class Ways:
 
 
 def penetrating_nodes(
-    triangles: Integers, ways: Ways, landed: NDArray[np.bool_], trust: NDArray[np.floating]
+    triangles: Integers, ways: Ways, in_contact: NDArray[np.bool_], trust: NDArray[np.floating]
 ) -> NDArray[np.bool_]:
     """Mask (n_node,) of the nodes that are beyond the mold.
 
     Args:
         triangles: The sheet's elements (n_element, 3).
         ways: Paths inside the elements that the mold cuts.
-        landed: Nodes (n_node,) in contact with the mold, on the side from which they came. Where there are none, most
-            of the sheet is on its right side.
+        in_contact: Nodes (n_node,) in contact with the mold, on the side from which they came. Where there are none,
+            most of the sheet is on its right side.
         trust: Weights of the nodes in the vote on their neighbours' side (n_node,).
     """
-    edge, weight = _sides_of_edges(triangles, ways, landed)
+    edge, weight = _sides_of_edges(triangles, ways, in_contact)
     if not np.any(weight < 0):
-        return np.zeros(len(landed), bool)
+        return np.zeros(len(in_contact), bool)
     from scipy.sparse import coo_array
 
-    count = len(landed)
+    count = len(in_contact)
     rows, columns = np.concatenate([edge[:, 0], edge[:, 1]]), np.concatenate([edge[:, 1], edge[:, 0]])
     graph = coo_array((np.concatenate([weight, weight]), (rows, columns)), shape=(count, count)).tocsr()
-    side = np.where(landed | _majority_side(edge, weight, landed), trust, 0.0)
+    side = np.where(in_contact | _majority_side(edge, weight, in_contact), trust, 0.0)
     unknown = np.flatnonzero(side == 0)
     while len(unknown):
         # A node is on the side of most of its neighbours that are known.
-        told = np.sign((graph @ side)[unknown])
-        if not told.any():
+        votes = np.sign((graph @ side)[unknown])
+        if not votes.any():
             break
-        side[unknown] = told * trust[unknown]
-        unknown = unknown[told == 0]
+        side[unknown] = votes * trust[unknown]
+        unknown = unknown[votes == 0]
     return side < 0
 
 
-def _sides_of_edges(triangles: Integers, ways: Ways, landed: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Array]:
+def _sides_of_edges(triangles: Integers, ways: Ways, in_contact: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Array]:
     """Edges (n, 2) of the sheet, and 1 (n,) where both ends are on one side of the mold, -1 where not, 0 unknown."""
     edge, _ = topology.edges(triangles)
     total, asked = np.zeros(len(edge)), np.zeros(len(edge), bool)
     # Edges between nodes in contact add no information.
-    row = np.flatnonzero(~landed[ways.triangles].all(1))
+    row = np.flatnonzero(~in_contact[ways.triangles].all(1))
     odd = ways.cross_oddly(row, np.eye(3))
-    name = np.array([len(landed), 1], np.int64)
+    name = np.array([len(in_contact), 1], np.int64)
     known = edge @ name
     for k in range(3):
         for other in ((k + 1) % 3, (k + 2) % 3):
@@ -363,9 +363,9 @@ def _sides_of_edges(triangles: Integers, ways: Ways, landed: NDArray[np.bool_]) 
     return edge, np.where(asked, np.sign(total), 1.0)
 
 
-def _majority_side(edge: NDArray[np.int64], weight: Array, landed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _majority_side(edge: NDArray[np.int64], weight: Array, in_contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Mask (n_node,) of the largest group on one side of the mold, in each part of the sheet without contact."""
-    count = len(landed)
+    count = len(in_contact)
     part = topology.connected_parts(edge[:, 0], edge[:, 1], count)
     one, other = edge[weight > 0].T
     together = topology.connected_parts(one, other, count)
@@ -373,5 +373,5 @@ def _majority_side(edge: NDArray[np.int64], weight: Array, landed: NDArray[np.bo
     most = np.zeros(count, np.int64)
     np.maximum.at(most, part, rank)
     elsewhere = np.ones(count, bool)
-    elsewhere[part[landed]] = False
+    elsewhere[part[in_contact]] = False
     return elsewhere[part] & (rank == most[part])

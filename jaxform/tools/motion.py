@@ -82,12 +82,12 @@ class ToolFrame(NamedTuple):
 
     def places(self, positions: Any) -> Vector:
         """Positions, three times (n,) [m], in the tool's frame at the step's end."""
-        x, y, z = (own - far for own, far in zip(positions, self.offset, strict=True))
+        x, y, z = (component - far for component, far in zip(positions, self.offset, strict=True))
         return x, y, z
 
     def speeds(self, velocities: Any) -> Vector:
         """Velocities, three times (n,) [m/s], relative to the tool."""
-        x, y, z = (own - speed for own, speed in zip(velocities, self.velocity, strict=True))
+        x, y, z = (component - speed for component, speed in zip(velocities, self.velocity, strict=True))
         return x, y, z
 
 

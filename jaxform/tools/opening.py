@@ -183,13 +183,13 @@ def _limit_to_rim(look: _SideView, size: float) -> _SideView:
     level = _brim(view, tolerance)
     if level is None:
         return look
-    own = _view_side(replace(view, inside=_enclosing_rims(view, level + tolerance, tolerance)), size)
-    above = own.view.inside & (view.height < own.level - tolerance)
-    if own.share < RIM or above.sum() > _ABOVE * own.view.inside.sum():
+    candidate = _view_side(replace(view, inside=_enclosing_rims(view, level + tolerance, tolerance)), size)
+    above = candidate.view.inside & (view.height < candidate.level - tolerance)
+    if candidate.share < RIM or above.sum() > _ABOVE * candidate.view.inside.sum():
         return look
-    as_high = abs(own.level - look.level) <= 2 * tolerance and own.hollow >= _KEPT * look.hollow
-    more = look.hollow == 0 or own.hollow > max(look.hollow, look.raised / _FAVOUR)
-    return own if as_high or more else look
+    as_high = abs(candidate.level - look.level) <= 2 * tolerance and candidate.hollow >= _KEPT * look.hollow
+    more = look.hollow == 0 or candidate.hollow > max(look.hollow, look.raised / _FAVOUR)
+    return candidate if as_high or more else look
 
 
 def _brim(view: Heights, tolerance: float) -> float | None:

@@ -88,8 +88,8 @@ def penetration(
         grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
     resting = np.zeros_like(positions) if resting is None else resting
     rests = resting.any(1)
-    landed = (wall != 0) & ~rests
-    lift, below = _lift(positions, wall, landed, mold_corners, size)
+    in_contact = (wall != 0) & ~rests
+    lift, below = _lift(positions, wall, in_contact, mold_corners, size)
     lifted = positions + lift + _RESTING_LIFT * size * resting
     measured = _limit_elements(lifted[triangles], mold_corners, float(grid.reach))
     ways = Ways(triangles[measured], lifted[triangles[measured]], mold_corners, grid)
@@ -97,14 +97,14 @@ def penetration(
     if not len(ways.element):
         return Penetration(below, 0.0, np.zeros(3), unmeasured)
     trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
-    beyond = penetrating_nodes(triangles, ways, landed, trust)
+    beyond = penetrating_nodes(triangles, ways, in_contact, trust)
     corners = positions[triangles]
     farthest = float(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max())
     distances = Distances(mold.vertices, mold.triangles, farthest)
     deepest, _ = distances.largest(positions[beyond & ~rests])
     deepest_element = _deepest(corners[measured[ways.element]], ways, np.where(beyond, -trust, trust), distances)
     away = resting + lift / (_LIFT * size)
-    ribs = find_ribs(lifted, away, landed | rests, ways, mold_corners, grid, pull)
+    ribs = find_ribs(lifted, away, in_contact | rests, ways, mold_corners, grid, pull)
     return Penetration(max(deepest, below), *deepest_element, unmeasured, ribs)
 
 
@@ -155,10 +155,10 @@ def pull_direction(start: Array, triangles: Integers, pressure: float) -> Array 
 
 
 def _lift(
-    positions: Array, wall: Integers, landed: NDArray[np.bool_], mold_corners: Array, size: float
+    positions: Array, wall: Integers, in_contact: NDArray[np.bool_], mold_corners: Array, size: float
 ) -> tuple[Array, float]:
     """Vectors that lift nodes in contact off the mold (n_node, 3) [m], and the nodes' depth below its planes [m]."""
-    node = np.flatnonzero(landed)
+    node = np.flatnonzero(in_contact)
     normal = contact_normals(wall[node], mold_corners)
     height = np.einsum("ij,ij->i", positions[node] - mold_corners[np.abs(wall[node]) - 1, 0], normal)
     lift = np.zeros_like(positions)

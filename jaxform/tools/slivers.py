@@ -79,9 +79,9 @@ def collapse_short_sides(places: Array, left: Integers) -> tuple[Array, NDArray[
         refused = np.union1d(refused, (wanted.vertex * len(places) + wanted.target)[~fits])
         chosen = _independent(edges, wanted.only(fits), len(places), random)
         moved, kept, chosen = _collapsed(left, edges, chosen, len(places))
-        own = np.full(len(places), -1.0)
-        own[chosen.vertex] = total[chosen.vertex]
-        error = np.maximum(error, own[left].max(1))[kept]
+        vertex_error = np.full(len(places), -1.0)
+        vertex_error[chosen.vertex] = total[chosen.vertex]
+        error = np.maximum(error, vertex_error[left].max(1))[kept]
         left, source = moved[kept], source[kept]
     used, renumbered = np.unique(left, return_inverse=True)
     return places[used], renumbered.reshape(-1, 3).astype(np.int32), source

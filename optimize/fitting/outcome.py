@@ -97,8 +97,16 @@ class Fit:
     def _numbers(self) -> list[dict[str, Any]]:
         numbers = self.solution.problem.numbers
         values = numbers.values(self.solution.free)
-        own = self.confidence
-        rows = zip(numbers.all, values, own.low, own.high, own.at_bound, own.without_influence, strict=True)
+        confidence = self.confidence
+        rows = zip(
+            numbers.all,
+            values,
+            confidence.low,
+            confidence.high,
+            confidence.at_bound,
+            confidence.without_influence,
+            strict=True,
+        )
         return [
             {
                 "name": number.words,

@@ -155,7 +155,8 @@ def _matches(solution: Solution) -> list[Match]:
     problem = solution.problem
     fitted = problem.values(solution.free)
     return [
-        Match(table, name, problem.measured[own], fitted[own], problem.used[own]) for table, name, own in problem.slices
+        Match(table, name, problem.measured[rows], fitted[rows], problem.used[rows])
+        for table, name, rows in problem.slices
     ]
 
 
@@ -192,8 +193,8 @@ def _warn_of_doubtful_numbers(fit: Fit) -> None:
             warn_of(f"{words}{problem}", "a simpler model may be sufficient for these tests")
     values = fit.solution.problem.numbers.values(fit.solution.free)
     with np.errstate(invalid="ignore"):
-        told = confidence.high - confidence.low < 2.0 * np.abs(values)
-        wide = ~(told | confidence.at_bound | confidence.without_influence)
+        determined = confidence.high - confidence.low < 2.0 * np.abs(values)
+        wide = ~(determined | confidence.at_bound | confidence.without_influence)
         alike = np.argwhere(np.triu(np.abs(confidence.correlation), 1) > _ALIKE)
     if wide.any():
         words = ", ".join(number.words for number, is_wide in zip(numbers, wide, strict=True) if is_wide)

@@ -116,12 +116,12 @@ def read_wall(folder: Path, whole: bool = False) -> WallSurface:
 
 def _part(mesh: Mesh) -> Mesh:
     """The elements of the part, and their nodes; the mesh unchanged where it does not mark them, or marks none."""
-    own = mesh.cell_fields.get("part", np.zeros(0)) != 0
-    if not own.any() or own.all():
+    in_part = mesh.cell_fields.get("part", np.zeros(0)) != 0
+    if not in_part.any() or in_part.all():
         return mesh
-    nodes, triangles = np.unique(mesh.triangles[own], return_inverse=True)
+    nodes, triangles = np.unique(mesh.triangles[in_part], return_inverse=True)
     fields = {name: values[nodes] for name, values in mesh.fields.items()}
-    cells = {name: values[own] for name, values in mesh.cell_fields.items()}
+    cells = {name: values[in_part] for name, values in mesh.cell_fields.items()}
     return replace(
         mesh,
         positions=mesh.positions[nodes],

@@ -236,8 +236,8 @@ def _frames(folder: Path, last: StoredPart, end: float) -> tuple[list[tuple[floa
             raise
         raise InputError("is not a list of frames", AGAIN, file=str(listed)) from None
     earlier = [(time, name) for time, name in named if time < end]
-    room = min(_MOST_FRAMES, max(_MOST_FRAME_ELEMENTS // len(last.triangles), 1))
-    chosen = np.unique(np.linspace(0, len(earlier) - 1, min(room, len(earlier))).round().astype(int))
+    limit = min(_MOST_FRAMES, max(_MOST_FRAME_ELEMENTS // len(last.triangles), 1))
+    chosen = np.unique(np.linspace(0, len(earlier) - 1, min(limit, len(earlier))).round().astype(int))
     return [(earlier[k][0], _part(disk.expand_path(earlier[k][1], folder))) for k in chosen], len(named)
 
 
