@@ -58,7 +58,8 @@ def export(arguments: argparse.Namespace) -> int:
     for name in ("scale", "pose"):
         if getattr(arguments, name) is not None and arguments.onto is None:
             raise InputError("is given without a mesh", "give --onto as well", f"--{name}", getattr(arguments, name))
-    path = _path(arguments, export.FORMATS[arguments.to].ending)
+    ending, _ = export.FORMATS[arguments.to]
+    path = _path(arguments, ending)
     wall = export.read_wall(arguments.folder, arguments.whole_sheet)
     for plane in arguments.mirror:
         wall = export.mirror(wall, *_plane(plane, wall))

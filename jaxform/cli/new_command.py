@@ -102,7 +102,9 @@ def _warn(made: Draft) -> None:
         problem = f"its bounding box is {largest:.4g} units long: assumed to be in {made.units.name}"
         warn_of(problem, "give --scale 1 if it is in metres", key="--mold")
     if made.rest is not None:
-        problem = f"looks cut in {scene_text.cut_planes_text(made.rest, made.scale)}: {scene_text.IMAGES} completes it"
+        problem = (
+            f"looks cut in {scene_text.cut_planes_text(made.planes, made.scale)}: {scene_text.IMAGES} completes it"
+        )
         warn_of(
             problem, "look at check.png; if the mold is meant to be like this, write the scene by hand", key="--mold"
         )

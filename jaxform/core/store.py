@@ -39,6 +39,7 @@ from jaxform.core.promotion import default_device
 from jaxform.core.pytree import is_internal
 
 Arrays = Mapping[str, np.ndarray]
+Program = Callable[..., Any]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
 _SEAL = hashlib.sha256().digest_size
 _MOST_SUBJECTS = 256  # of which it is known what they took last time
@@ -81,7 +82,7 @@ class Store:
         self.shared = shared
         self._programs: dict[_ProgramKey, PendingProgram] = {}
         self._taken: dict[str, None] = {}
-        self._ahead: Future[dict[str, _PendingLoad]] | None = None
+        self._ahead: Future[dict[str, tuple[StoredProgram, Future[Program]]]] | None = None
 
     def arrays(self, name: str, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Named arrays.
@@ -163,7 +164,7 @@ class Store:
         known = all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in lists)
         return found if known else {}
 
-    def _start_preloading(self, subject: str) -> dict[str, _PendingLoad]:
+    def _start_preloading(self, subject: str) -> dict[str, tuple[StoredProgram, Future[Program]]]:
         assert self.folder is not None
         lately = self._recent_names()
         names = lately.get(subject) or next(reversed(lately.values()), [])
@@ -206,8 +207,9 @@ class Store:
         begun = ahead.pop(path.name, None) or _start_deserializing(_read_verified(path))
         if begun is None:
             return None
+        stored, loading = begun
         try:
-            shapes, of_trees = begun.program.shapes()
+            shapes, of_trees = stored.shapes()
         except Exception:  # whatever pickle raises for what another version has written
             return None
         done: Future[Callable[..., Any]] = Future()
@@ -218,7 +220,7 @@ class Store:
             except Exception:  # whatever XLA says of a program that this machine or version does not take
                 _compile_into(done, function, arguments)
 
-        begun.loaded.add_done_callback(forward_result)
+        loading.add_done_callback(forward_result)
         return PendingProgram(shapes, done)
 
     def _start_compiling(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> PendingProgram:
@@ -309,17 +311,10 @@ def _recent_names_file() -> str:
     return f"lately-{hashlib.sha256(host_digest() + precision.encode()).hexdigest()[:32]}"
 
 
-class _PendingLoad(NamedTuple):
-    """A program that is being loaded."""
-
-    program: StoredProgram
-    loaded: Future[Callable[..., Any]]
-
-
-def _start_deserializing(kept: Any) -> _PendingLoad | None:
-    """Begins to load a program; None where these bytes are none."""
+def _start_deserializing(kept: Any) -> tuple[StoredProgram, Future[Program]] | None:
+    """A program, and the function that is being loaded from it; None where these bytes are none."""
     found = None if kept is None else deserialize_program(kept)
-    return None if found is None else _PendingLoad(found, submit_compilation(found.load))
+    return None if found is None else (found, submit_compilation(found.load))
 
 
 def _compile_into(done: Future[Callable[..., Any]], function: Any, arguments: tuple[Any, ...]) -> None:
@@ -366,8 +361,6 @@ def _source_digest(package: Path) -> bytes:
 
 
 # Compiled programs as bytes, and programs from them: they need be neither traced nor lowered to be found again.
-
-Program = Callable[..., Any]
 
 
 def jit_under_new_name(function: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from jaxform.tools import buck, patches, scans
 from jaxform.tools.buck import Buck
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
-from jaxform.tools.halves import MoldCompletion
+from jaxform.tools.halves import Plane
 from jaxform.tools.opening import Opening
 
 Array = NDArray[np.float64]
@@ -161,6 +161,7 @@ class Draft:
         planform: Planform of the sheet, in the axes of the view.
         polygon: Polygon of the sheet (k, 2) [m] in the scene.
         rest: Images that complete a mold cut in a half or a quarter, as its file has it [m]; None where it is whole.
+        planes: The planes in which the mold is cut, as its file has it [m].
         covers: Covers that close the mold, as its file has it [m].
         width: Width of the sheet [m], the shorter side.
         pocket: Half the width of the smallest pocket [m].
@@ -181,7 +182,8 @@ class Draft:
     found: Opening
     planform: Planform
     polygon: Array
-    rest: MoldCompletion | None
+    rest: Mesh | None
+    planes: Sequence[Plane]
     covers: Covers
     width: float
     pocket: float

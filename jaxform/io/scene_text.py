@@ -16,7 +16,7 @@ from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
-from jaxform.tools.halves import MoldCompletion
+from jaxform.tools.halves import Plane
 
 COVERS, IMAGES, PLATEN = "covers.stl", "images.stl", "platen.stl"
 """Names of the files of a mold's covers, of the images that complete a cut mold, and of a buck's platen."""
@@ -59,13 +59,13 @@ def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
 def _added_meshes(made: Draft) -> dict[str, Mesh]:
     """Meshes beside the mold's own, by the names of their files."""
     closing = COVERS if made.drape is None else PLATEN
-    meshes_of = {IMAGES: None if made.rest is None else made.rest.mesh, closing: made.covers.mesh}
+    meshes_of = {IMAGES: made.rest, closing: made.covers.mesh}
     return {name: mesh for name, mesh in meshes_of.items() if mesh is not None}
 
 
-def cut_planes_text(rest: MoldCompletion, scale: float) -> str:
+def cut_planes_text(planes: Sequence[Plane], scale: float) -> str:
     """The planes in which a mold is cut, as its file has them, in words."""
-    return " and ".join(f"{'xyz'[plane.axis]} = {_number(plane.level / scale, 4)}" for plane in rest.planes)
+    return " and ".join(f"{'xyz'[plane.axis]} = {_number(plane.level / scale, 4)}" for plane in planes)
 
 
 def _names(folder: Path, paths: Sequence[Path]) -> list[str]:
@@ -180,7 +180,9 @@ def vacuum_text(made: Draft) -> str:
 def _mold(made: Draft, names: Sequence[str]) -> list[str]:
     files, lines = [*names, *_added_meshes(made)], []
     if made.rest is not None:
-        lines += [f"# The mold is cut in {cut_planes_text(made.rest, made.scale)} of its file: {IMAGES} completes it."]
+        lines += [
+            f"# The mold is cut in {cut_planes_text(made.planes, made.scale)} of its file: {IMAGES} completes it."
+        ]
     if made.drape is not None and made.covers.mesh is not None:
         holes = f" and closes {covers_text(made)}" if made.covers.holes else ""
         lines += [f"# {PLATEN} is the platen on which the buck stands, with vacuum at its surface{holes}."]

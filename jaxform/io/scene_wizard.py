@@ -19,7 +19,6 @@ from jaxform.mesh.outlines import Circle, OrientedRectangle
 from jaxform.tools import covers, footprint, halves, kinds, molds, opening, patches
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
-from jaxform.tools.halves import MoldCompletion
 from jaxform.tools.opening import Opening
 
 Array = NDArray[np.float64]
@@ -57,6 +56,7 @@ def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
         "guessed": wishes.scale is None,
         "size": extent,
         "process": wishes.process,
+        "planes": verdict.planes,
         "doubt": verdict.doubt,
     }
     if verdict.drape:
@@ -66,17 +66,17 @@ def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
 
 def _verdict(mold: Mesh, wishes: UserChoices) -> kinds.Verdict:
     if wishes.drape is not None:
-        rest = None if wishes.drape or wishes.direction is not None else halves.find_completion(mold)
-        return kinds.Verdict(wishes.drape, rest=rest)
+        completion = None if wishes.drape or wishes.direction is not None else halves.find_completion(mold)
+        return kinds.Verdict(wishes.drape) if completion is None else kinds.Verdict(wishes.drape, "", *completion)
     patches.refuse_bottles(mold)
     kinds.refuse_tubes(mold)
     return kinds.classify(mold)
 
 
-def _draft_cavity(mold: Mesh, rest: MoldCompletion | None, wishes: UserChoices, known: dict[str, Any]) -> Draft:
+def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dict[str, Any]) -> Draft:
     """A first scene in which a sheet is formed into a cavity, by what is `known` already of its `Draft`."""
     if rest is not None:
-        whole = meshes.merge([mold, rest.mesh])
+        whole = meshes.merge([mold, rest])
         mold = footprint.weld_mold(whole.positions, whole.triangles)
     found = opening.find_opening(mold.positions, mold.triangles, male=False, direction=wishes.direction)
     planform = footprint.fit_planform(found, mold.positions, mold.triangles)

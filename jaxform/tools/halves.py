@@ -73,20 +73,16 @@ class _Lines:
         return np.delete(edges[there], plane.axis, axis=2)
 
 
-class MoldCompletion(NamedTuple):
-    """The rest of a mold, and the planes in which it is cut."""
-
-    mesh: Mesh
-    planes: list[Plane]
-
-
-def find_completion(mold: Mesh) -> MoldCompletion | None:
+def find_completion(mold: Mesh) -> tuple[Mesh, list[Plane]] | None:
     """The rest of an open mold that has no rim by itself, but one together with its images; None if there is none.
 
     A closed solid is whole as it is.
 
     Args:
         mold: Welded; its box touches the planes [m].
+
+    Returns:
+        The rest, and the planes in which the mold is cut.
     """
     if topology.is_closed(mold.triangles) or opening.is_rimmed(mold.positions, mold.triangles):
         return None
@@ -102,5 +98,5 @@ def find_completion(mold: Mesh) -> MoldCompletion | None:
         whole = meshes.merge([mold, *images])
         whole = footprint.weld_mold(whole.positions, whole.triangles)
         if opening.is_rimmed(whole.positions, whole.triangles) and _is_closed_by(whole):
-            return MoldCompletion(meshes.merge(images), list(planes))
+            return meshes.merge(images), list(planes)
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxform.mesh import masks, meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import buck, halves, heights, opening, scans
 from jaxform.tools.buck import Buck
-from jaxform.tools.halves import MoldCompletion
+from jaxform.tools.halves import Plane
 from jaxform.tools.opening import MoldSides
 
 Array = NDArray[np.float64]
@@ -31,12 +32,14 @@ class Verdict(NamedTuple):
     Attributes:
         drape: Whether the mold is a buck.
         doubt: The other kind that it may be, and how to request it; empty where it is clear.
-        rest: The rest of a cavity that is cut in a half or a quarter.
+        rest: The rest of a cavity that is cut in a half or a quarter; None where it is whole.
+        planes: The planes in which it is cut.
     """
 
     drape: bool
     doubt: str = ""
-    rest: MoldCompletion | None = None
+    rest: Mesh | None = None
+    planes: Sequence[Plane] = ()
 
 
 def classify(mold: Mesh) -> Verdict:
@@ -91,9 +94,9 @@ def _shell(mold: Mesh, rims: scans.Rims, sides: MoldSides, size: float) -> Verdi
     direction = scans.outward_direction(mold, rims)
     outward = scans.faces_outward(mold, direction)
     if not _has_rim(sides, size):
-        rest = halves.find_completion(mold)
-        if rest is not None:
-            return Verdict(False, rest=rest)
+        completion = halves.find_completion(mold)
+        if completion is not None:
+            return Verdict(False, "", *completion)
         # Without a rim at one height it is a scan, of the inside only where it faces inwards.
         inside = outward is False and sides.hollow.share >= opening.LEAST_RIM
         other = "--drape forms over its outside" if inside else "--cavity forms into its inside"

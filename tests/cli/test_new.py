@@ -54,7 +54,9 @@ def test_the_opening_is_in_z_0_and_the_mold_behind_it(tmp_path, capfd, unit, deg
     folder = tmp_path / "scene"
     assert command.main(["new", str(folder), "--mold", str(mold)]) == 0
     said = capfd.readouterr()
-    assert said.err == "" and f"taken for {words}" in said.out and f"jaxform check {folder / 'scene.toml'}" in said.out
+    assert (
+        said.err == "" and f"assumed to be {words}" in said.out and f"jaxform check {folder / 'scene.toml'}" in said.out
+    )
     # Numbers that are inches may be meant as millimetres.
     assert ("give --scale 0.001 where it is in millimetres" in said.out) == (words == "inches")
     assert sorted(path.name for path in folder.iterdir()) == ["dish.stl", "scene.toml", "study.toml"]

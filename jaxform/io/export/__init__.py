@@ -4,33 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 from jaxform.core.disk import atomic_path
 from jaxform.io.export import abaqus, calculix, radioss, table, vtu
 from jaxform.io.export.wall import WallSurface, mirror, read_wall
 
-
-class Format(NamedTuple):
-    """A format of files.
-
-    Attributes:
-        ending: Ending of its files' names.
-        write: Writes a wall to a path.
-    """
-
-    ending: str
-    write: Callable[[Path, WallSurface], None]
-
-
-FORMATS = {
-    "abaqus": Format(".inp", abaqus.write),
-    "calculix": Format(".inp", calculix.write),
-    "radioss": Format(".rad", radioss.write),
-    "vtu": Format(".vtu", vtu.write),
-    "csv": Format(".csv", table.write),
+FORMATS: dict[str, tuple[str, Callable[[Path, WallSurface], None]]] = {
+    "abaqus": (".inp", abaqus.write),
+    "calculix": (".inp", calculix.write),
+    "radioss": (".rad", radioss.write),
+    "vtu": (".vtu", vtu.write),
+    "csv": (".csv", table.write),
 }
-"""Formats by their names for `jaxform export --to`."""
+"""The ending of files and the function that writes a wall to a path, by the name of the format in `export --to`."""
 
 
 def write_wall(wall: WallSurface, path: Path, name: str) -> None:
@@ -39,8 +25,9 @@ def write_wall(wall: WallSurface, path: Path, name: str) -> None:
     Raises:
         InputError: The file cannot be written.
     """
+    _, write = FORMATS[name]
     with atomic_path(path, "choose another file (--out)") as fresh:
-        FORMATS[name].write(fresh, wall)
+        write(fresh, wall)
 
 
-__all__ = ["FORMATS", "Format", "WallSurface", "mirror", "read_wall", "write_wall"]
+__all__ = ["FORMATS", "WallSurface", "mirror", "read_wall", "write_wall"]
