@@ -34,7 +34,7 @@ class Study:
     """Design study: a scene, its variables and objective, and the settings of the search.
 
     Attributes:
-        scene: The scene to begin with.
+        scene: The initial scene.
         variables: The design variables.
         objective: The objective to minimize.
         method: "lbfgs", "adam", "least-squares" or "fixed-point".
@@ -49,7 +49,7 @@ class Study:
         learning_rate: Learning rate of Adam; the bounds are 4 apart.
         warm_start: Updates of the fixed point before the search; None for as many as halve the value, for a
             target or an even wall of which the sheet is a variable.
-        starts: Number of designs, scattered about the first one; the search begins at the best.
+        starts: Number of designs, scattered about the first one; the search starts at the best.
         rounds: Largest number of multiplier rounds.
         document: Document of the scene, for writing the best design.
         digest: Hash that identifies the study, for resuming a search.

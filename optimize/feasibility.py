@@ -37,7 +37,7 @@ def check(study: Study) -> None:
 
 
 def doubts(study: Study) -> list[str]:
-    """A sentence for each variable that begins elsewhere than the scene, and each target that none comes near."""
+    """A sentence for each variable that starts elsewhere than the scene, and each target that none comes near."""
     thickest = _thickest(study)
     return _moved_numbers(study) + [
         f"{key}.thickness cannot be reached: it is {float(np.min(part.nodal)):.3g} m or more everywhere, and a sheet "
@@ -49,7 +49,7 @@ def doubts(study: Study) -> list[str]:
 
 
 def _moved_numbers(study: Study) -> list[str]:
-    """A sentence for each number of the scene that its variable cannot have, so that the search begins with another."""
+    """A sentence for each number of the scene that its variable cannot have, so that the search starts with another."""
     found = []
     for variable in study.variables:
         for path, values in variable.changes(jnp.asarray(variable.start)).items():

@@ -1,6 +1,6 @@
 """The rule of thumb: where the wall is too thin, thicken the sheet by the root of the missing ratio.
 
-It needs no gradient, and only what is wanted of the wall; it is where a search may begin, and what searches have to
+It needs no gradient, and only what is wanted of the wall; it is where a search may start, and what searches have to
 beat. The root, since with the full factor the sheet oscillates.
 """
 

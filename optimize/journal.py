@@ -175,7 +175,7 @@ def _spans(path: Path, file: BinaryIO, study: str) -> list[slice]:
 
 
 def _is_truncated(line: bytes) -> bool:
-    """True if a line begins like one of a journal and is incomplete."""
+    """True if a line starts like one of a journal and is incomplete."""
     if _parse_line(line + b"\n"):
         return True
     try:

@@ -186,10 +186,10 @@ class Uniform(Objective):
 class LeastMass(Objective):
     """Use as little material as possible for a wall that is nowhere thinner than a minimum.
 
-    The value is the mass, of the part where the scene has one, over that of the whole sheet to begin with. Every
+    The value is the mass, of the part where the scene has one, over that of the initial whole sheet. Every
     element keeps the minimum by itself, with a multiplier of its own: nothing is blurred into an average. The
     multipliers' weighted sum is what the mass gains, relative to the first one, per relative change of the minimum.
-    Wall and mass are nearly in ratio, so it comes out near the value: about 1 to begin with.
+    Wall and mass are nearly in ratio, so it comes out near the value: about 1 initially.
 
     Args:
         scene: The scene that is designed.
@@ -213,7 +213,7 @@ class LeastMass(Objective):
         self._first_mass = float((volume * (density[triangles].mean(1) if density.ndim else density)).sum())
 
     def __call__(self, scene: Scene, result: Result) -> jax.Array:
-        """The mass, of the part where the scene has one, over that of the whole sheet to begin with."""
+        """The mass, of the part where the scene has one, over that of the initial whole sheet."""
         return result.mass / self._first_mass
 
     def constraints(self, scene: Scene, result: Result) -> Constraints:

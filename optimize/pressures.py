@@ -30,7 +30,7 @@ class PressureKnots:
         bounds: Least and largest pressure [Pa].
         increasing: Whether the pressure must never fall from knot to knot.
         rate: Largest change from knot to knot [Pa/s], or None.
-        held: Whether the first knot keeps its value: else the history may begin with a jump.
+        held: Whether the first knot keeps its value: else the history may start with a jump.
         end_time: Least and largest time of the last knot [s], with which all others move; None leaves them.
 
     Raises:

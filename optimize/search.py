@@ -312,7 +312,7 @@ class Search:
     # --- Between iterations ------------------------------------------------------------------------------------------
 
     def begin(self) -> Ending | None:
-        """Begins an iteration; returns the ending where the study or the round allows no more."""
+        """Starts an iteration; returns the ending where the study or the round allows no more."""
         if self.iteration >= min(self.study.iterations, self.pause):
             return Ending("iterations", f"{self.iteration} iterations done")
         self.iteration += 1

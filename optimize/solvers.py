@@ -38,7 +38,7 @@ METHODS: dict[str, Method] = {
     "least-squares": least_squares,
     "fixed-point": fixed_point,
 }
-_WITHOUT_GRADIENT = ("fixed-point", "least-squares")  # at the begin; the latter takes its own
+_WITHOUT_GRADIENT = ("fixed-point", "least-squares")  # at the start; the latter takes its own
 _SPREAD = 1.0  # of several starts, a quarter of the way from one bound to the other
 
 
@@ -48,7 +48,7 @@ class Design:
 
     Attributes:
         scene, result: The best scene and its part.
-        first_scene, first_result: The scene to begin with and its part.
+        first_scene, first_result: The initial scene and its part.
         changes: Best design as dotted keys of a scene file with plain values, or nodal arrays.
         history: A row per simulation of the search, with the columns `COLUMNS` (and `LIMIT_COLUMNS`).
         document: Document of the study.
@@ -139,7 +139,7 @@ def solve(
         journal: Journal on disk, so that a killed search can be resumed; none by default.
 
     Raises:
-        InputError: If the study asks for what its objective or variables do not have, or the scene to begin with
+        InputError: If the study asks for what its objective or variables do not have, or the initial scene
             cannot be simulated to its end, or it asks for what no design within the bounds can reach.
     """
     check(study)

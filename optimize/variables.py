@@ -2,7 +2,7 @@
 
 A variable has a start (the scene's own values, moved into the bounds), the change of the scene that the search's
 numbers mean, and the same change in the words of a scene file. The search's numbers lie in a box, whose ends are the
-bounds: the map is as steep at a bound as elsewhere, so that a search which begins or passes there is not held. (A
+bounds: the map is as steep at a bound as elsewhere, so that a search which starts or passes there is not held. (A
 smooth map from unbounded numbers, such as the logistic function, is flat at the bounds: a start there was taken for
 an optimum.)
 """

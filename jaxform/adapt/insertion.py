@@ -117,7 +117,7 @@ def _on_segment(points: jax.Array, begin: jax.Array, end: jax.Array) -> jax.Arra
     return begin + jnp.clip(dot(points - begin, along) / dot(along, along), 0.0, 1.0)[None] * along
 
 
-_BEFORE = 64  # times the distance at which a node touches, before its triangle: where a stuck node's path begins
+_BEFORE = 64  # times the distance at which a node touches, before its triangle: where the path of one in contact begins
 _BACKWARD = 0.5  # cosine: a place that is that far from where the sheet is, is on the back of a thin part
 _CALM = 0.5  # of its edge: a new node that is nearer to the mold is at rest; from a whole one on it moves as it would
 

@@ -112,7 +112,7 @@ def refine_in_place(
 
 
 def _is_due(state: State | PackedState, adaptivity: Adaptivity) -> jax.Array:
-    # A window that is retried begins with the mesh that it had.
+    # A window that is retried starts with the mesh that it had.
     return is_refinement_due(state.windows, adaptivity.limits) & ((state.control.last_count > 0) | (state.windows == 0))
 
 
@@ -337,7 +337,7 @@ def _bisect_state(
     body = refined_discretization(scene, forest, mesh, wood)
     new = insert_nodes(state, mesh, scene, adaptivity, wood.volumes, differentiable=differentiable)
     new = _inherit_state(new, state, mesh, forest)
-    # What concerns the account alone carries no derivative.
+    # What concerns the energy balance alone carries no derivative.
     held, new_held = (totals_of(s, scene, b) for s, b in ((state, discrete), (new, body)))
     kinetic, new_kinetic = (
         jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, discrete), (new, body))

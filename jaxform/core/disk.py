@@ -114,7 +114,7 @@ def error_reason(error: BaseException) -> str:
 # Files that are there whole or not at all: written beside their place, and moved to it when they are complete.
 
 PREFIX = ".jaxform-"
-"""How names of files begin that are no results yet: what was killed may leave them, what comes next overwrites them."""
+"""How names of files start that are no results yet: what was killed may leave them, what comes next overwrites them."""
 
 
 @contextlib.contextmanager
@@ -190,7 +190,7 @@ def guard_folder(folder: Path) -> Iterator[None]:
     """Sees to it that JAX finds under each name in a folder what it wrote there itself.
 
     JAX believes what it reads: a program under the name of another would be run. What differs in size or date from
-    what was there at the end of the last run is removed, so that it is compiled anew; all of it, where the record of
+    what was there at the end of the last run is removed, so that it is recompiled; all of it, where the record of
     that is damaged.
     """
     record = folder / _RECORD

@@ -110,7 +110,7 @@ def _format_value(value: Any, limit: int = 160) -> str:
 
 
 def truncate_text(text: str, limit: int = 1000) -> str:
-    """The text for people; of a long one the begin and the end, where a path has its name."""
+    """The text for people; of a long one the start and the end, where a path has its name."""
     return text if len(text) <= limit else f"{text[: limit // 4]} ... {text[-limit // 2 :]}"
 
 

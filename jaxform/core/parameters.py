@@ -65,7 +65,7 @@ def register_part[T](
         base: What it must derive from.
         method: What it must have of its own.
         remedy: What to do where it does not, in words.
-        section: What the path of its numbers begins with.
+        section: What the path of its numbers starts with.
         needed: Numbers that it must have.
 
     Raises:

@@ -2,7 +2,7 @@
 
 The command line keeps one in the user's cache folder, beside JAX's own of small programs. Names of files are digests
 of everything the content depends on, this package's source included, so that nothing in it can be out of date; what
-cannot be read or written is made anew.
+cannot be read or written is made again.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ class Store:
         return path is not None and path.exists()
 
     def preload(self, subject: str) -> None:
-        """Begins to load what a run of a subject took last time, while the scene is still being read.
+        """Starts to load what a run of a subject took last time, while the scene is still being read.
 
         Of a subject that is not known, what the last run of all took.
         """
@@ -446,7 +446,7 @@ def machine_digest() -> bytes:
 
 @functools.cache
 def host_digest() -> bytes:
-    """A digest of what of that is known before any device is looked at."""
+    """A digest of what of that is known before any device is examined."""
     asked = os.environ.get("XLA_FLAGS", ""), os.environ.get("JAX_PLATFORMS", "")
     return _digest(jax.__version__, jaxlib.__version__, *asked, platform.machine(), _processor_flags())
 

@@ -27,7 +27,7 @@ class Source:
     Attributes:
         file: Name in messages.
         path: Path of the file.
-        data: Its tables, as they stand in the file.
+        data: Its tables, as in the file.
     """
 
     file: str

@@ -42,7 +42,7 @@ class SceneDocument:
     Attributes:
         file: Name in messages.
         folder: Base of its relative paths.
-        data: Its tables, as they stand in the file.
+        data: Its tables, as in the file.
         model: The validated tables, with defaults filled in.
         path: Path of the file; None for a scene made of tables.
     """
@@ -70,7 +70,7 @@ class StudyDocument:
     Attributes:
         file: Name in messages.
         folder: Base of its relative paths.
-        data: Its tables, as they stand in the file.
+        data: Its tables, as in the file.
         model: The validated tables, with defaults filled in.
         scene: The scene that it varies.
     """

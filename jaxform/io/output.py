@@ -276,7 +276,7 @@ class FitCurve(NamedTuple):
 
 
 def material_text(table: Mapping[str, Any], words: Sequence[str]) -> str:
-    """The table `[material]` as TOML, its Maxwell branches as `[material.viscous]`, below comments of a line each."""
+    """The table `[material]` as TOML, its Prony terms as `[material.viscous]`, below comments of a line each."""
     lines = ["# " + " ".join(text.split()) for text in words]
     lines += ["[material]", *(f"{key} = {inline(value)}" for key, value in table.items() if key != "viscous")]
     if "viscous" in table:

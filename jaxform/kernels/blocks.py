@@ -1,8 +1,8 @@
 """Work through long arrays in short blocks, and only as far as they are in use.
 
-On the CPU a block and all that is worked out from it stay in the innermost cache, and XLA compiles a loop without
+On the CPU a block and all that is computed from it stay in the innermost cache, and XLA compiles a loop without
 scatters into one function; the number of blocks is data, so that a list that becomes shorter costs less and nothing
-is compiled anew. On other devices one kernel over the whole arrays is faster.
+is recompiled. On other devices one kernel over the whole arrays is faster.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ BLOCK = 96  # three of the longest vectors, four times; no power of two: rows th
 
 
 class Halves(NamedTuple):
-    """A row (n,) of which what is in the blocks' first halves, and in their second, is worked out apart, (n / 2,)."""
+    """A row (n,) of which what is in the blocks' first halves, and in their second, is computed apart, (n / 2,)."""
 
     first: jax.Array
     second: jax.Array
@@ -81,8 +81,10 @@ def over_blocks(
             column by itself, and columns that are not in use harmlessly: where there are no blocks it is given them
             all.
         block_count: How many blocks are in use.
-        inputs: Arrays (..., room), the room a whole number of blocks; or a `Part` of one, or what is `PerBlock`.
-        into: Arrays (k, room), or a `Part` of one, that take the rows; what is beyond the blocks in use stays as it is.
+        inputs: Arrays (..., capacity), the capacity a whole number of blocks; or a `Part` of one, or what is
+            `PerBlock`.
+        into: Arrays (k, capacity), or a `Part` of one, that take the rows; what is beyond the blocks in use stays as it
+            is.
         sums: How many vectors are summed; of the inputs' floating type.
         most: Of how many the largest is found.
         update: Of so many arrays of `into`, the first ones and no `Part`s, the function takes the rows as they were: a
@@ -123,7 +125,7 @@ def over_blocks(
     real = next((kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)), jnp.float32)
     zeros = [jnp.zeros(BLOCK, real) for _ in range(sums + most)]
     flat, totals = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
-    # Else the whole loop would be worked out again by whoever uses it twice.
+    # Else the whole loop would be computed again by whoever uses it twice.
     flat, totals = jax.lax.optimization_barrier((flat, totals))
     shaped = [array.reshape(old.shape) for array, old in zip(flat, arrays, strict=True)]
     return shaped, [jnp.sum(each) for each in totals[:sums]] + [jnp.max(each) for each in totals[sums:]]
@@ -136,17 +138,17 @@ def read_rows(flat: jax.Array, count: int, first: jax.Array, size: int) -> list[
 
 
 def slice_at(array: jax.Array, begin: jax.Array | int, size: int) -> jax.Array:
-    """Entries (..., size) of an array (..., n) from `begin` on, which is not looked at for being negative."""
+    """Entries (..., size) of an array (..., n) from `begin` on, which is not checked for a negative sign."""
     return jax.lax.dynamic_slice_in_dim(array, begin, size, axis=array.ndim - 1, allow_negative_indices=False)
 
 
 def put(array: jax.Array, new: jax.Array, begin: jax.Array | int) -> jax.Array:
-    """The array (..., n) with new entries (..., size) from `begin` on, which is not looked at for being negative."""
+    """The array (..., n) with new entries (..., size) from `begin` on, which is not checked for a negative sign."""
     return jax.lax.dynamic_update_slice_in_dim(array, new, begin, axis=array.ndim - 1, allow_negative_indices=False)
 
 
 def entry(array: jax.Array, place: jax.Array) -> jax.Array:
-    """The entry (...) of an array (..., n) at a place, which is not looked at for being negative."""
+    """The entry (...) of an array (..., n) at a place, which is not checked for a negative sign."""
     return jax.lax.dynamic_index_in_dim(array, place, array.ndim - 1, keepdims=False, allow_negative_indices=False)
 
 
@@ -181,12 +183,12 @@ def on_cpu() -> bool:
 
 
 def materialize[T](values: T) -> T:
-    """Values that are worked out once and kept, for all their uses."""
+    """Values that are computed once and kept, for all their uses."""
     return jax.lax.optimization_barrier(values)
 
 
 def total(values: jax.Array) -> jax.Array:
-    """Sum of values (room,), whole blocks of them: many short sums side by side, where XLA makes one long one."""
+    """Sum of values (capacity,), whole blocks of them: many short sums side by side, where XLA makes one long one."""
     return jnp.sum(jnp.sum(values.reshape(-1, BLOCK), axis=0))
 
 
@@ -231,7 +233,7 @@ def _write_rows(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
 
 
 def compact_indices(keep: jax.Array, capacity: int, count: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
-    """Indices (room,) of the marked entries (n,), one after the other, then any others; and the number marked.
+    """Indices (capacity,) of the marked entries (n,), one after the other, then any others; and the number marked.
 
     Of the first `count` entries, or of all.
     """
@@ -246,7 +248,7 @@ def compact_indices(keep: jax.Array, capacity: int, count: jax.Array | None = No
         places, count = carry
         return put(places, i.astype(jnp.int32)[None], count), count + entry(keep, i)
 
-    # One more, for what finds no room.
+    # One more, for what exceeds the capacity.
     places, found = _sequential_loop(keep, add, capacity + 1, count)
     return places[:capacity], found
 

@@ -1,6 +1,6 @@
 """A branch with a reverse derivative that is left out as the branch is, also where several runs go side by side.
 
-Side by side, JAX's `cond` works out both branches for each run. A loop that is entered at most once is left out as soon
+Side by side, JAX's `cond` computes both branches for each run. A loop that is entered at most once is left out as soon
 as no run asks for it, but has no reverse derivative of JAX's.
 """
 
@@ -29,7 +29,7 @@ class _BranchResiduals:
     Attributes:
         asked: Whether it was taken.
         given: What it was called with: what it closed over, then the value.
-        own: What it has worked out.
+        own: What it has computed.
         place: Where each leaf of its derivative is: in `given`, or beyond that in `residual_index`.
         structure: Of its derivative, a function.
         moving: Which of `given` it is a derivative by.

@@ -1,8 +1,8 @@
-"""The ladder of sizes: how long arrays are for which compiled programs are made.
+"""Bucket sizes: how long arrays are for which compiled programs are made.
 
-A program is compiled for the lengths of its arrays. Scenes whose arrays are as long as the same rungs share all their
-programs, whatever their meshes and molds are; what is beyond a mesh is not active. A rung is twice the one
-below, or half as long again where room that is not used takes some time all the same, or four times as long.
+A program is compiled for the lengths of its arrays. Scenes whose arrays are as long as the same buckets share all their
+programs, whatever their meshes and molds are; what is beyond a mesh is not active. A bucket size is twice the one
+below, or half as long again where unused capacity takes some time all the same, or four times as long.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import itertools
 from jaxform.kernels.blocks import BLOCK
 
 _RATIO = 1.5
-_ELEMENTS = 11 * BLOCK  # the first rung: meshes of fewer elements take hardly any time
-_ROOTS, _ADDED = 24, 14 * BLOCK  # of a mesh that is refined: elements at first, and room for those there will be
+_ELEMENTS = 11 * BLOCK  # the first bucket size: meshes of fewer elements take hardly any time
+_ROOTS, _ADDED = 24, 14 * BLOCK  # of a mesh that is refined: elements at first, and capacity for those there will be
 _RIM = 1.5  # of the root of the elements' number: half the nodes at the rim of a sheet about as wide as it is long
 _PAIRS = 9 / 16  # of the elements: few are left over
 _SPILL, _KNOTS, _WINDOWS, _RECORDED = BLOCK, 16, 256, 512
 _RIM_EDGES = 64
 _ROWS = 4, 6, 16  # of an assembly's table
-# What is only looked up takes memory, but no time: few rungs, far apart.
+# What is only looked up takes memory, but no time: few buckets, far apart.
 _MOLD, _CELLS, _LISTED, _BEND, _FAR_APART = 4096, 49_152, 196_608, 500_000, 4.0
 _HALF_EDGES = 17 / 8  # of all triangles of a forest
 
@@ -30,7 +30,7 @@ def bucket_size(count: int, first: int, ratio: float = 2.0) -> int:
 
 
 def staggered_capacity(capacity: int, block: int = BLOCK) -> int:
-    """Room for as much or somewhat more, in so many blocks that rows of numbers do not share the cache's sets.
+    """Capacity for as much or somewhat more, in so many blocks that rows of numbers do not share the cache's sets.
 
     Rows that are a multiple of 4096 bytes apart do: an odd number of eighths of that keeps them apart.
     """
@@ -38,17 +38,17 @@ def staggered_capacity(capacity: int, block: int = BLOCK) -> int:
 
 
 def element_capacity(count: int) -> int:
-    """Room for the elements of a mesh that stays as it is, and for one more, which the pairs that are none are of."""
+    """Capacity for the elements of a mesh without refinement, and for one more, of which padded pairs are."""
     return _block_multiple(count + 1, _ELEMENTS)
 
 
 def root_capacity(count: int) -> int:
-    """Room for the elements of a mesh that is refined, before it is."""
+    """Capacity for the elements of a mesh that is refined, before it is."""
     return bucket_size(count, _ROOTS)
 
 
 def refined_capacity(count: int) -> int:
-    """Room for the elements of a mesh that is refined."""
+    """Capacity for the elements of a mesh that is refined."""
     return _block_multiple(count, _ADDED)
 
 
@@ -59,7 +59,7 @@ def _block_multiple(count: int, first: int) -> int:
 
 
 def node_capacity(count: int, capacity: int) -> int:
-    """Room for the nodes of a mesh with room for so many elements, and for one more.
+    """Capacity for the nodes of a mesh with capacity for so many elements, and for one more.
 
     A sheet has half as many nodes as elements, and half as many more as its rim has.
     """
@@ -67,12 +67,12 @@ def node_capacity(count: int, capacity: int) -> int:
 
 
 def pair_capacity(count: int, capacity: int) -> int:
-    """Room for the pairs of elements of a mesh with room for so many elements, and for one more."""
+    """Capacity for the pairs of elements of a mesh with capacity for so many elements, and for one more."""
     return staggered_capacity(bucket_size(count + 1, int(_PAIRS * capacity)), BLOCK // 2)
 
 
 def half_edge_capacity(count: int, triangles: int) -> int:
-    """Room for half edges of a forest of so many triangles, and for one edge more; even."""
+    """Capacity for half edges of a forest of so many triangles, and for one edge more; even."""
     return 2 * (bucket_size(count + 2, int(_HALF_EDGES * triangles)) // 2 + 1)
 
 
@@ -87,12 +87,12 @@ def valence_capacity(count: int) -> int:
 
 
 def overflow_capacity(count: int) -> int:
-    """Room for shares beyond an assembly's table."""
+    """Capacity for shares beyond an assembly's table."""
     return bucket_size(count, _SPILL, _FAR_APART)
 
 
 def knot_capacity(count: int) -> int:
-    """Room for the knots of a pressure history."""
+    """Capacity for the knots of a pressure history."""
     return bucket_size(count, _KNOTS, _FAR_APART)
 
 
@@ -102,25 +102,25 @@ def window_capacity(count: int, *, recorded: bool = False) -> int:
 
 
 def rim_edge_capacity(count: int) -> int:
-    """Room for the edges of rims that move."""
+    """Capacity for the edges of rims that move."""
     return bucket_size(count, _RIM_EDGES)
 
 
 def mold_triangle_capacity(count: int) -> int:
-    """Room for the triangles of a mold."""
+    """Capacity for the triangles of a mold."""
     return bucket_size(count, _MOLD, _FAR_APART)
 
 
 def cell_capacity(count: int) -> int:
-    """Room for the cells of a mold's search grid, and for the wider ones."""
+    """Capacity for the cells of a mold's search grid, and for the wider ones."""
     return bucket_size(count, _CELLS, _FAR_APART)
 
 
 def cell_list_capacity(count: int) -> int:
-    """Room for what the cells list."""
+    """Capacity for what the cells list."""
     return bucket_size(count, _LISTED, _FAR_APART)
 
 
 def bend_part_capacity(count: int) -> int:
-    """Room for the parts of cells that know how far a bend of the mold is."""
+    """Capacity for the parts of cells that know how far a bend of the mold is."""
     return bucket_size(count, _BEND)

@@ -110,7 +110,7 @@ class _Pullback:
 
 
 def as_single_operation(function: Callable[..., Any], *arguments: Any) -> Any:
-    """The function's result as one operation, with JAX's own derivatives; nothing is worked out again."""
+    """The function's result as one operation, with JAX's own derivatives; nothing is computed again."""
     shapes = _shapes(arguments)
     results = jax.eval_shape(function, *shapes)
 
@@ -294,7 +294,7 @@ def _batch(leaves: Any, axes: Any, *, rule: DerivativeRule, structure: Any) -> t
 def _tangents(
     *leaves: Any, rule: DerivativeRule, forward: bool, structure: Any, moving: tuple[bool, ...], kept: Any, **_: Any
 ) -> list[Any]:
-    """The results' tangents, from those of the arguments: the function is worked out once more for it."""
+    """The results' tangents, from those of the arguments: the function is recomputed for it."""
     if not forward:
         raise NotImplementedError(
             "the residuals of jax.vjp of a simulation can only be transposed: use jax.jvp instead"

@@ -1,6 +1,6 @@
 """Functions that are traced by themselves: one operation for whatever is around, `shard_map` and derivatives included.
 
-Under `shard_map` JAX types every value by the mesh axes along which it differs, and a loop whose carry begins with a
+Under `shard_map` JAX types every value by the mesh axes along which it differs, and a loop whose carry starts with a
 constant then has no valid type. A simulation speaks with no other device, so its inside needs no such types: inputs are
 made to differ along all axes at once, and so do the results.
 """

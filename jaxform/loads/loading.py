@@ -16,12 +16,12 @@ _LOOKS = 17
 
 
 class Interval(NamedTuple):
-    """The time from the begin of one step to the begin of the next, as a loading sees it.
+    """The time from the start of one step to the start of the next, as a loading sees it.
 
     Attributes:
         time: At its end [s].
         length: [s]; 0 before the first step.
-        before, volume: What the sheet encloses at its begin and at its end [m^3].
+        before, volume: What the sheet encloses at its start and at its end [m^3].
     """
 
     time: jax.Array
@@ -48,7 +48,7 @@ class Loading:
     The stable step knows how the pressure falls with the volume; gradients are by checkpoints (`jaxform.Checkpointed`).
 
     It may have a state of its own, such as a gas' temperature: an array, or a tree of arrays, that `start` gives, that
-    `after` takes from the begin of each step to the begin of the next, and that `at` is then given as well.
+    `after` takes from the start of each step to the start of the next, and that `at` is then given as well.
 
     Attributes:
         follows_volume: Whether the pressure depends on the enclosed volume; where it does not, no step works it out.
@@ -59,7 +59,7 @@ class Loading:
     def at(self, time: jax.Array, volume: Any, *state: Any) -> jax.Array:
         """Pressure [Pa] at a time [s], with so much volume [m^3] of the modelled part between the sheet and its origin.
 
-        The volume is not worked out, but None, where the pressure does not follow it; its own state is not given where
+        The volume is not computed, but None, where the pressure does not follow it; its own state is not given where
         it has none.
         """
         raise NotImplementedError
@@ -89,7 +89,7 @@ class Loading:
 
 @pytree
 class LoadState:
-    """State of a loading that follows the volume, at the begin of a step.
+    """State of a loading that follows the volume, at the start of a step.
 
     Attributes:
         pressure: [Pa].
@@ -107,7 +107,7 @@ def first_pressure(loading: Loading, volume: jax.Array) -> LoadState:
 
 
 def next_pressure(loading: Loading, last: LoadState, interval: Interval) -> LoadState:
-    """At the end of an interval, with what it was at its begin."""
+    """At the end of an interval, with what it was at its start."""
     state = None if last.state is None else jax.tree.map(_array, loading.after(last.state, interval))
     return LoadState(_pressure(loading, interval.time, interval.volume, state), state)
 

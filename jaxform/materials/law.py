@@ -56,10 +56,10 @@ class Law(_Dense):
                 return self.c1 * (i1 - 3.0) + self.c2 * (i1 - 3.0) ** 2
 
     Every law has a `density` [kg/m^3]. A number may vary over the sheet (zones): it then has one axis more, the last,
-    with a value for each node in a scene, and for each element where the law is worked out.
+    with a value for each node in a scene, and for each element where the law is computed.
 
     Attributes:
-        viscous: Viscous modes, whose stress is added; what the law says is then what is left in the end. None without.
+        viscous: Prony terms, whose stress is added; what the law says is then what is left in the end. None without.
         shift: What temperature does to it; None for nothing.
         tension_field: Whether the sheet goes slack where it would be compressed, as `tension_field` has it.
         held_taut: Whether what is slack has the tangent of what just is not: for the stable step, not for forces.
@@ -72,7 +72,7 @@ class Law(_Dense):
 
     @property
     def elastic(self) -> Self:
-        """The law without its viscous modes, as it is at any temperature."""
+        """The law without its Prony terms, as it is at any temperature."""
         if self.viscous is None and self.shift is None:
             return self
         return dataclasses.replace(self, viscous=None, shift=None)
@@ -93,7 +93,7 @@ class Law(_Dense):
         return dataclasses.replace(self.with_zones(numbers), viscous=modes, shift=None)
 
     def stiffness_at_once(self) -> jax.Array:
-        """The instantaneous stiffness: `stiffness` and the contribution of the viscous modes."""
+        """The instantaneous stiffness: `stiffness` and the contribution of the Prony terms."""
         return self.stiffness() if self.viscous is None else self.stiffness() + self.viscous.stiffness()
 
     @property

@@ -76,7 +76,7 @@ class Ogden(PlaneLaw):
         if len(mu) != len(alpha):
             problem = f"has {len(alpha)} numbers, mu has {len(mu)}"
             raise InputError(problem, "give one for each term", "material.alpha")
-        # Of zones each place is looked at.
+        # Of zones each place is examined.
         mu, alpha = np.broadcast_arrays(*(values if values.ndim > 1 else values[:, None] for values in (mu, alpha)))
         if not np.all(alpha):
             raise InputError("has an exponent of 0", "leave that term out", "material.alpha", alpha[:, 0].tolist())
@@ -156,7 +156,7 @@ class _SlopePowers:
         """Computes the powers from T and D."""
         self._terms = [(0.5 * modulus, 0.5 * power - 1.0) for modulus, power in zip(mu, alpha, strict=True)]
         self._trace, self._determinant = trace, determinant
-        # By rounding the difference may be below 0. What several loops use each is worked out once, with one division.
+        # By rounding the difference may be below 0. What several loops use each is computed once, with one division.
         half = materialize(jnp.sqrt(jnp.maximum(0.25 * jnp.square(trace) - determinant, _LEAST * determinant)))
         both = materialize(0.5 / (determinant * half))
         self._half, self._larger = half, 0.5 * trace + half
@@ -263,7 +263,7 @@ def _smooth_slopes(
         power, half = plane.to_power(0.5 * exponent), 0.5 * modulus
         # sinh(p y) = sinh((p - 1) y) cosh(y) + cosh((p - 1) y) sinh(y).
         sines = power.sines_before * plane.cosine + power.cosine_before
-        # Else all of it would be worked out for each of the two again.
+        # Else all of it would be computed for each of the two again.
         first = half * power.area * sines
         second = half * (power.area * power.sines_before + jnp.square(power.thickness))
         by_trace, by_determinant = materialize((by_trace + first, by_determinant - second))
@@ -293,7 +293,7 @@ class _PlaneStretches:
         sine = jnp.sqrt(jnp.where(alike, 1.0, square))
         stretch = jnp.where(alike, 1.0, 1.0 + excess) + sine  # exp(y)
         logs = _LN_2 * log2(area), _LN_2 * log2(stretch)
-        # What all terms use is worked out once.
+        # What all terms use is computed once.
         made = materialize((alike, thickness, excess, square, 0.5 / sine, 1.0 / stretch, *logs))
         self._alike, self.thickness, self.excess, self.sine_squared, self._half_sine, self._shrink, *logs = made
         self._log_area, self._angle = logs

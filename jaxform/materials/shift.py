@@ -1,4 +1,4 @@
-"""Time-temperature shift: effect of temperature on the relaxation times of viscous modes and on stiffness."""
+"""Time-temperature shift: effect of temperature on the relaxation times of Prony terms and on stiffness."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Arrhenius(Shift):
 
 @shift
 class ArrheniusStiffness(Arrhenius):
-    """The Arrhenius shift of times and of all moduli: those of the law, and those of its viscous modes.
+    """The Arrhenius shift of times and of all moduli: those of the law, and those of its Prony terms.
 
     Attributes:
         reference: T_r [degC].

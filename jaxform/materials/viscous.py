@@ -1,4 +1,4 @@
-"""Viscous modes: stress on top of a law's that remembers how the sheet was strained; and Christensen's and Maxwell's.
+"""Prony terms: stress on top of a law's that remembers how the sheet was strained; and Christensen's and Maxwell's.
 
 The stress of each mode is kept for each element, as four numbers: the components 11, 12, 22 of the second Piola-
 Kirchhoff stress in the basis of the element's initial edges [Pa/m^2], and that across the sheet [Pa], from which the
@@ -75,7 +75,7 @@ class Recursion(NamedTuple):
 
 
 class Modes:
-    """Viscous modes of one kind, a modulus and a time each; the kind is the class.
+    """Prony terms of one kind, a modulus and a time each; the kind is the class.
 
     Where temperature shifts them, both are of each element, (n_mode, n).
 

@@ -1,4 +1,4 @@
-"""Constitutive response of elements: stress of the material model, and overstress of viscous modes if any."""
+"""Constitutive response of elements: stress of the material model, and overstress of Prony terms if any."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxform.mechanics.membrane import Metric, invariants, plus, relaxed_metric,
 
 @pytree
 class ViscousMemory:
-    """History of the viscous modes of elements: mode k has the stress `history[k] + gain[k] M`, M its measure.
+    """History of the Prony terms of elements: mode k has the stress `history[k] + gain[k] M`, M its measure.
 
     Attributes:
         rest: (4 n_mode, n), four rows a mode; in loops over blocks a list of them.
@@ -45,7 +45,7 @@ def instantaneous_memory(stress: jax.Array, modes: Modes) -> ViscousMemory:
 
 
 class Response(NamedTuple):
-    """A law, without its viscous modes, and what elements remember; None where they have no such modes.
+    """A law, without its Prony terms, and what elements remember; None where they have no such modes.
 
     Its numbers are those of the law and of the memory; those that vary are of each element (..., n).
     """
@@ -119,7 +119,7 @@ def stress_and_change(
 
     if response.material.held_taut:
         g = relaxed_metric(g, inverse)
-    # Both divide; kept, they are worked out once instead of for each of the six components.
+    # Both divide; kept, they are computed once instead of for each of the six components.
     stress_pair, rate = materialize(jax.jvp(factors, (g,), (change,)))
     b = stress_pair[1]
     s = stress(g, inverse, stress_pair)
@@ -132,14 +132,14 @@ def stress_and_change(
 
 
 def strain_state(g: Metric, inverse: Any) -> StrainState:
-    """The strain state from which viscous modes compute their stress."""
+    """The strain state from which Prony terms compute their stress."""
     r = inverse[0], inverse[1], inverse[2]
     strain = invariants(g, r)
     return StrainState(g, r, strain.trace, strain.determinant)
 
 
 class Overstress(NamedTuple):
-    """Stress of the viscous modes.
+    """Stress of the Prony terms.
 
     Attributes:
         total: Stress S^ab [Pa/m^2] of all, free across the sheet.
@@ -163,7 +163,7 @@ class Overstress(NamedTuple):
 
 
 def overstress(g: Metric, inverse: Any, memory: ViscousMemory, keep: Callable[[Any], Any] = lambda x: x) -> Overstress:
-    """The overstress of viscous modes at a metric; `keep` is applied to values that are used more than once."""
+    """The overstress of Prony terms at a metric; `keep` is applied to values that are used more than once."""
     now = keep(strain_state(g, inverse))
     measure = keep(MODES[memory.kind].measure(now))
     followed = measure

@@ -1,7 +1,7 @@
 """The forces of elements on their corners, and how these change with all that they depend on.
 
 All work through the elements in blocks and write what each corner gets; the nodes then gather it. The barriers keep XLA
-from working the element out anew for each of the nine components.
+from recomputing the element for each of the nine components.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class Load(NamedTuple):
 
     Attributes:
         positions: (3, place) [m]; or its rows, where no derivative is taken.
-        thickness: Initial thickness (room,) [m].
+        thickness: Initial thickness (capacity,) [m].
         pressure: A number [Pa].
-        material: The law with its parameters; those that vary over the sheet for each element (..., room).
-        memory: What elements remember, (..., room); None where the law has no viscous modes.
+        material: The law with its parameters; those that vary over the sheet for each element (..., capacity).
+        memory: What elements remember, (..., capacity); None where the law has no Prony terms.
     """
 
     positions: Any
@@ -67,7 +67,7 @@ class Load(NamedTuple):
 def corner_force_changes(load: Load, elements: Elements, moved: jax.Array, into: Corners) -> Corners:
     """Change of the corner forces [N] of each element as positions change by `moved` (3, place) [m].
 
-    Not differentiable; written `into` room as by `corner_forces`.
+    Not differentiable; written into arrays as by `corner_forces`.
     """
     none = jax.tree.map(lambda _: None, load)
     return corner_force_tangent(load, elements, none._replace(positions=moved), into)[0]
@@ -92,7 +92,7 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
 
 
 class HistoryUpdate(NamedTuple):
-    """History of the elements after a step (4 n_mode, room), and the dissipated power [W]."""
+    """History of the elements after a step (4 n_mode, capacity), and the dissipated power [W]."""
 
     history: jax.Array
     loss: jax.Array
@@ -180,7 +180,7 @@ def _split_varying(recursion: Recursion) -> tuple[dict[str, jax.Array], dict[str
 def _forces(
     rows: Vector, block: ElementBlock, thickness: jax.Array, pressure: jax.Array, origin: jax.Array, response: Response
 ) -> tuple[list[Vector], jax.Array, Overstress | None]:
-    """The corners' forces, six times the volume below, and what viscous modes do."""
+    """The corners' forces, six times the volume below, and what Prony terms do."""
     (sides,) = edge_vectors(block, rows)
     (first, edge1, edge2), normal = sides, element_normals(sides, block)
     g = metric(edge1, edge2)

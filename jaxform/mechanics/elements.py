@@ -24,24 +24,24 @@ from jaxform.mechanics.membrane import (
 )
 
 _USUAL_ROWS, _USUAL_PAIR_ROWS = 6, 4  # of the shares of a node; all that are looked up without asking
-Corners = list[jax.Array]  # component by component, (3 corners, room); of pairs (2, room)
+Corners = list[jax.Array]  # component by component, (3 corners, capacity); of pairs (2, capacity)
 
 
 @pytree
 class Elements:
-    """The elements that the force is worked out for; no derivative is taken with respect to them.
+    """The elements that the force is computed for; no derivative is taken with respect to them.
 
-    Arrays over elements have room for whole blocks; beyond the elements in use they hold others of area 0.
+    Arrays over elements have capacity for whole blocks; beyond the elements in use they hold others of area 0.
 
     Attributes:
-        triangles: Places of the nodes (3, room).
-        inverse_metric: Inverse of the initial metric (3, room) [1/m^2].
-        area: Initial area (room,) [m^2].
+        triangles: Places of the nodes (3, capacity).
+        inverse_metric: Inverse of the initial metric (3, capacity) [1/m^2].
+        area: Initial area (capacity,) [m^2].
         orientation: Where elements stand in pairs, the first in a block's first half and the second in its second:
-            whether the order of the nodes, which begins with the common edge, is that of the element's normal (room,),
-            1, or is not, -1; 0 beyond them. None where they stand one by one.
+            whether the order of the nodes, which starts with the common edge, is that of the element's normal
+            (capacity,), 1, or is not, -1; 0 beyond them. None where they stand one by one.
         origin: A point (3,) [m] on every symmetry plane, from which the enclosed volume is counted.
-        slots: Where the corners' shares of each node are (depth, place): corner times room plus element. Of a pair
+        slots: Where the corners' shares of each node are (depth, place): corner times capacity plus element. Of a pair
             both ends of the common edge share the first row, half by half, and the nodes apart have the second.
         overflow, overflow_into: Further shares (k,), of nodes with more elements than `slots` is deep, and the shares
             of these nodes that they are added to.
@@ -82,7 +82,7 @@ def gather_table(elements: Elements) -> GatherTable:
 
 
 def add_overflow(corners: Corners, elements: Elements) -> Corners:
-    """Corner forces, and with them the shares that `slots` has no room for: added to others of the same nodes."""
+    """Corner forces, and with them the shares that `slots` has no capacity for: added to others of the same nodes."""
     if elements.overflow.size == 0:
         return corners
     flat = [corner.reshape(-1) for corner in corners]
@@ -137,7 +137,7 @@ def map_elements(
 
 
 def allocate_corner_forces(positions: jax.Array, elements: Elements) -> Corners:
-    """Room for corner forces, for elements whose nodes are at positions (3, place)."""
+    """Capacity for corner forces, for elements whose nodes are at positions (3, place)."""
     shape = 3 if elements.orientation is None else 2, elements.area.size
     return [jnp.zeros(shape, positions.dtype) for _ in range(3)]
 
@@ -202,7 +202,7 @@ def combine_pairs(corners: Sequence[Vector], block: ElementBlock) -> list[Any]:
 
 
 def element_metrics(positions: jax.Array, elements: Elements) -> tuple[Metric, Metric]:
-    """Present metric and inverse of the initial one, all elements (room,) at once, of nodes at positions (3, place).
+    """Present metric and inverse of the initial one of all elements (capacity,), of nodes at positions (3, place).
 
     Those that are not in use are as if not strained, so that nothing of them spoils a derivative.
     """

@@ -59,15 +59,16 @@ def corner_cotangents(
     """Transpose of `corner_forces`' derivative, from cotangents of the nodal force (3, place) and of the volume.
 
     Args:
-        load: What the force is worked out for.
+        load: What the force is computed for.
         elements: Its elements.
         wanted: Which leaves of the load; of the material and the memory those of the response's
             numbers, in their order.
         nodal: Cotangent of the nodal force; None where there is none.
         volume: That of the volume; None where there is none.
-        into: Room for corner forces, from `allocate_corner_forces`; empty where the positions' cotangent is not wanted.
+        into: Capacity for corner forces, from `allocate_corner_forces`; empty where the positions' cotangent is not
+            wanted.
         summed: Sums over steps that are added to, those of `zero_sums`.
-        forces: Whether `corner_forces` is worked out along with it, since most of it is at hand; `into` then has room
+        forces: Whether `corner_forces` is computed along with it, since most of it is at hand; `into` then has room
             for the corners' cotangents and, after them, their forces.
 
     Returns:
@@ -151,8 +152,8 @@ def corner_cotangents(
 def zero_sums(load: Load, wanted: list[bool]) -> list[jax.Array]:
     """Initial zeros of the sums over steps to which `corner_cotangents` adds, element by element.
 
-    Of the logarithm of the thickness (1, room) where that is wanted, then of each number of the response that varies
-    and is wanted (k, room).
+    Of the logarithm of the thickness (1, capacity) where that is wanted, then of each number of the response that
+    varies and is wanted (k, capacity).
     """
     room, real = load.thickness.size, load.thickness.dtype
     zones = load.response.zones
@@ -161,7 +162,7 @@ def zero_sums(load: Load, wanted: list[bool]) -> list[jax.Array]:
 
 
 def zone_cotangents(load: Load, wanted: list[bool], summed: list[jax.Array]) -> dict[str, jax.Array]:
-    """Cotangents of the response's varying parameters that are wanted (..., room), by name."""
+    """Cotangents of the response's varying parameters that are wanted (..., capacity), by name."""
     names, zones = _differentiated_zones(load, wanted), load.response.zones
     own = summed[int(wanted[1]) :]
     return {name: rows.reshape(zones[name].shape) for name, rows in zip(names, own, strict=True)}

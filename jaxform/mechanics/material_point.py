@@ -16,10 +16,10 @@ def principal_nominal_stress(
     """Nominal stresses [Pa] along two principal stretches (n,) in the plane of the sheet, which is free across it.
 
     Args:
-        law: The material model; of its Maxwell branches only what `memory` has counts.
+        law: The material model; of its Prony terms only what `memory` has counts.
         one: The first stretch.
         two: The second stretch.
-        memory: Memory of the branches; None for the long-term stress.
+        memory: Memory of the terms; None for the long-term stress.
     """
     none, unit = jnp.zeros_like(one), jnp.ones_like(one)
     metric = one * one, none, two * two
@@ -29,7 +29,7 @@ def principal_nominal_stress(
 
 
 def initial_overstress(modes: Modes, count: int) -> Overstress:
-    """The overstress of Maxwell branches at points (count,) that were never strained."""
+    """The overstress of Prony terms at points (count,) that were never strained."""
     unit = jnp.ones((count,), modes.time.dtype)
     none = jnp.zeros_like(unit)
     inverse = jnp.stack([unit, none, unit])
@@ -38,12 +38,12 @@ def initial_overstress(modes: Modes, count: int) -> Overstress:
 
 
 def advance_memory(modes: Modes, past: Overstress, step: jax.Array) -> ViscousMemory:
-    """The memory of Maxwell branches after a step [s] with the strain linear in time; a step of 0 is a jump."""
+    """The memory of Prony terms after a step [s] with the strain linear in time; a step of 0 is a jump."""
     recursion = modes.recursion(step)
     return ViscousMemory(jnp.stack(past.updated_history(recursion)), recursion.gain, modes.kind)
 
 
 def principal_overstress(memory: ViscousMemory, one: jax.Array, two: jax.Array) -> Overstress:
-    """The overstress of Maxwell branches with such a memory at points that now have these stretches (n,)."""
+    """The overstress of Prony terms with such a memory at points that now have these stretches (n,)."""
     none, unit = jnp.zeros_like(one), jnp.ones_like(one)
     return constitutive.overstress((one * one, none, two * two), jnp.stack([unit, none, unit]), memory)

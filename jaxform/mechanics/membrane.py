@@ -1,7 +1,7 @@
 """The linear membrane triangle: kinematics, stress, energy and lumped mass.
 
 Everything is component-first, (3, n), because that is twice as fast as (n, 3) inside the step; where vectors are
-worked out they are triples of (n,), since XLA turns each stacking into a loop with a branch in it. A metric is the
+computed they are triples of (n,), since XLA turns each stacking into a loop with a branch in it. A metric is the
 triple (11, 12, 22) of its components in the basis of the triangle's two edges from its first node.
 """
 
@@ -49,7 +49,7 @@ def gather_rows(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
 def gather_sum(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
     """Sums (n,) of the entries of several rows (n_node,) at places (k, n), over k, in one loop.
 
-    XLA's CPU compiler makes a loop for each array that it works out, and each would take all indices apart again, which
+    XLA's CPU compiler makes a loop for each array that it computes, and each would take all indices apart again, which
     takes longer than to look up; only a reduction of several arrays is one loop for all of them.
     """
     if not on_cpu():
@@ -59,7 +59,7 @@ def gather_sum(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
 
 @jax.custom_jvp
 def _gather_sum_fused(rows: list[jax.Array], index: jax.Array) -> list[jax.Array]:
-    # Else every entry would be cut out anew, and looked up for every step of the loop.
+    # Else every entry would be cut out again, and looked up for every step of the loop.
     index = materialize(index)
     found = [gather(row, index) for row in rows]
     if len(index) == 1:

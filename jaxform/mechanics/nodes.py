@@ -1,7 +1,7 @@
 """The nodal fields of a run, each declared once with how it passes from one list of nodes to another.
 
-Packing, room for more nodes, their insertion and the result follow from what is declared here. A scene may carry fields
-of its own (`jaxform.field`); they are under their names in `Nodes.fields`.
+Packing, capacity for more nodes, their insertion and the result follow from what is declared here. A scene may carry
+fields of its own (`jaxform.field`); they are under their names in `Nodes.fields`.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ def _slopes_by_stretches(a: jax.Array, b: jax.Array) -> list[Vector]:
 
 
 def viscous_stiffness(strain: Invariants, now: StrainState, stresses: list[Rows], modes: Modes) -> jax.Array:
-    """Upper bound (n,) [Pa] of the viscous modes' part in the largest tangent eigenvalue, from their stresses.
+    """Upper bound (n,) [Pa] of the Prony terms' part in the largest tangent eigenvalue, from their stresses.
 
     Three terms, each at its largest: the stress in the plane, the pressure that frees the sheet of stress across, and
     how the modes' own stress answers to strain.
@@ -136,7 +136,7 @@ def element_stiffness(
         bound: Lambda_G (n_element,) [1/m^2].
         moving: Mask (n_element,).
         material: The law, its zones (n_element,).
-        memory: The stress of its viscous modes (4 n_mode, n_element); None where it has none.
+        memory: The stress of its Prony terms (4 n_mode, n_element); None where it has none.
     """
     _, edge1, edge2 = edges(positions, triangles)
     edge1, edge2 = materialize((edge1, edge2))

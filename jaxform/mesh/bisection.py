@@ -2,9 +2,9 @@
 
 Newest-vertex bisection: a triangle (peak, a, b) is halved from its peak to the middle m of the opposite edge, which is
 its refinement edge, into (m, peak, a) and (m, b, peak). The first triangles' edges are their longest ones. Refining is
-then nothing but marking triangles as bisected, and everything a mark can ask for is known before a run begins.
+then nothing but marking triangles as bisected, and everything a mark can ask for is known before a run.
 
-Triangles are numbered level by level; those of level l begin at roots * (2**l - 1), and the children of the i-th there
+Triangles are numbered level by level; those of level l start at roots * (2**l - 1), and the children of the i-th there
 are the (2 i)-th and the (2 i + 1)-th of the next.
 """
 

@@ -32,7 +32,7 @@ _OUTLINE: list[tuple[float | None, float]] = [
     *((-0.975, 0.478), (-0.875, 0.61), (-0.7, 0.717), (-0.5, 0.81), (-0.39, 0.87), (None, 0.922), (None, 1.0)),
 ]
 _BOTTOM = 1.3  # radii of the outline, from its lowest point up, that are bent round to make a flat bottom
-_SHOULDER, _NECK = 0.8, 0.922  # heights where the one ends and the other begins
+_SHOULDER, _NECK = 0.8, 0.922  # heights where the one ends and the other starts
 _HOLE = (0.41, 0.66)  # its middle: x in radii, y in heights
 _LEAN = 0.07  # of the hole to the left, per length upwards
 _SAMPLES = 4000  # of a smooth curve
@@ -112,7 +112,7 @@ def half_bottle(
 
 
 def _neck_fraction(y: Array, shape: Bottle) -> Array:
-    """0 up to the shoulder, 1 from where the neck begins."""
+    """0 up to the shoulder, 1 from where the neck starts."""
     way = np.clip((y / shape.height - _SHOULDER) / (_NECK - _SHOULDER), 0.0, 1.0)
     return way**2 * (3.0 - 2.0 * way)
 

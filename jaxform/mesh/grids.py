@@ -144,7 +144,7 @@ def check_count(count: float, element_size: float | None) -> None:
 #
 # Where rings have the same number of segments and are so turned, every triangle of a band is like every other, and so
 # are their errors. Numbers therefore stay the same over several rings, and grow by a half or a third in between, all
-# around the ring at once. Were a ring to have six segments more than the last, the nodes from which a segment begins
+# around the ring at once. Were a ring to have six segments more than the last, the nodes from which a segment starts
 # would lie above each other on six spokes, along which the sheet is thinner than beside them.
 
 
@@ -173,7 +173,7 @@ class Ring(NamedTuple):
 
     @property
     def middles(self) -> Array:
-        """Places of the middles of the segments (count,), ascending; segment k begins at node k."""
+        """Places of the middles of the segments (count,), ascending; segment k starts at node k."""
         return (np.arange(self.count) + 0.5 * self.turned + 0.5) / self.count
 
     @property

@@ -269,7 +269,7 @@ def contour(values: Array, low: Array, pixel: float) -> Array:
 
 
 def closed_loops(begin: Integers, end: Integers) -> list[Integers]:
-    """The closed ways (k,) through numbers, each of which begins one step and ends one."""
+    """The closed ways (k,) through numbers, each of which starts one step and ends one."""
     following = dict(zip(begin.tolist(), end.tolist(), strict=True))
     loops = []
     while following:

@@ -389,7 +389,7 @@ def _split_chords(points: Array, triangles: Index, rim: int) -> tuple[Array, NDA
 
 
 def _split_triangle(triangle: list[int], middles: list[int | None]) -> list[list[int]]:
-    """A triangle cut at the middles of its sides, the first of which begins at its first corner."""
+    """A triangle cut at the middles of its sides, the first of which starts at its first corner."""
     count = sum(middle is not None for middle in middles)
     if count == 0:
         return [triangle]

@@ -90,7 +90,7 @@ class Refinement:
         proximity_factor: Distance that counts as near, as a multiple of the element's longest side.
         jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
         mass_scaling_levels: Number of the finest levels whose mass is scaled, so that they do not shorten the step.
-        at_rest: Whether new nodes begin at rest that are nearer to the mold than half their edge, or its search grid's
+        at_rest: Whether new nodes start at rest that are nearer to the mold than half their edge, or its search grid's
             reach; from a whole one on they move as their edge did, in between somewhat slower. Else all move as their
             edges did, which keeps the momentum, but makes a replay jump where a node comes into contact just before or
             just after a window boundary.

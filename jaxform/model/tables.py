@@ -32,7 +32,7 @@ class ReferenceGeometry:
 
 @pytree
 class ElementPairs:
-    """Pairs of elements that share an edge; the nodes of both elements begin with its ends.
+    """Pairs of elements that share an edge; the nodes of both elements start with its ends.
 
     Attributes:
         element: The pairs (2, n_pair); -1 for the second of one that is left over.
@@ -110,8 +110,8 @@ class BisectionHierarchy:
         owner: A triangle (n_node,) whose refinement edge has the node in its middle; 0 for the first nodes.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
         bend: Distance to bent parts of the mold; None where unused.
-        fine_at_once: Triangles (n,) that are bisected when a run begins, ascending, then the largest number; None where
-            none are.
+        fine_at_once: Triangles (n,) that are bisected at the start of a run, ascending, then the largest number; None
+            where none are.
         root_count: Triangles at level 0.
         depth: The deepest level.
         first_nodes: Nodes of the mesh before it is refined.
@@ -181,8 +181,8 @@ class Precomputed:
         box: Box of sheet and mold: a sheet far outside of it has left its mold; None without a mold.
         grid: Search structure of the mold, or None.
         forest: Hierarchy that the mesh can be refined to, or None.
-        initial_contact: Mold triangles (n_node,) that nodes touch when a run begins, signed as in `State.wall`; None
-            where there is no contact.
+        initial_contact: Mold triangles (n_node,) that nodes touch at the start of a run, signed as in `State.wall`;
+            None where there is no contact.
         window_count: Number of windows that a run may take.
         planned: Number of windows planned for the expected stretch, where a larger one may occur: windows then become
             longer, so that they suffice. The largest number where enough were planned.

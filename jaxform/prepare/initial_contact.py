@@ -160,12 +160,12 @@ def find_initial_bisections(
     bend: Bend | None,
     grid: SearchGrid,
 ) -> NDArray[np.int32]:
-    """Triangles of the forest that are bisected before the run begins, ascending: closed, so that no node hangs.
+    """Triangles of the forest that are bisected before the run, ascending: closed, so that no node hangs.
 
     Those partly in contact, up to the deepest level; those near a bend of the mold, up to the base level.
 
     Args:
-        forest: The forest, with its nodes where they are when the run begins.
+        forest: The forest, with its nodes where they are at the start of the run.
         in_contact: Initial contact of the nodes (n_node,), as `Precomputed.initial_contact`.
         refinement: Its limits.
         bend: Distance to the mold's bent parts, as in `BisectionHierarchy.bend`.

@@ -23,7 +23,7 @@ _MOST_BEND_CELLS = 500_000  # where the distance to such a bend is kept
 
 
 def reserve_capacity(refinement: Refinement, forest: bisection.TriangleForest, fine: np.ndarray | None) -> Refinement:
-    """The refinement with capacity for half as many elements again as there are when the run begins."""
+    """The refinement with capacity for half as many elements again as there are at the start of the run."""
     if fine is None or not len(fine):
         return refinement
     least = min(3 * (forest.root_count + len(fine)) // 2, forest.root_count << forest.depth)

@@ -159,7 +159,7 @@ def first_step(scene: Scene) -> float:
 
 
 def _stiffness_at_once(square: jax.Array, modes: Modes) -> jax.Array:
-    """Largest stiffness [Pa] that viscous modes add to a sheet stretched at once along both axes by these squares."""
+    """Largest stiffness [Pa] that Prony terms add to a sheet stretched at once along both axes by these squares."""
     none, one = jnp.zeros_like(square), jnp.ones_like(square)
     g = square, none, square
     unit = jnp.stack([one, none, one])

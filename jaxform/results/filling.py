@@ -54,7 +54,7 @@ class _Opening:
     """What a scene's sheet is to reach, whatever part it becomes.
 
     Attributes:
-        places: Places of the mold (n, 3) [m], as it starts, that are looked at.
+        places: Places of the mold (n, 3) [m], as it starts, that are examined.
         facing: The mold's surface before the sheet; None where the sheet is not nearly flat.
         depth: Depth of the opening [m], see `Filling`.
     """

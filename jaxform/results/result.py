@@ -46,7 +46,7 @@ class Energy:
         damping_loss: Work done against damping.
         contact_loss: Kinetic energy of the nodes when they stuck.
         refinement_loss: Strain and kinetic energy that new nodes took away.
-        viscous_loss: Dissipation of the Maxwell branches.
+        viscous_loss: Dissipation of the Prony terms.
         cooling_loss: Strain energy lost as the temperature softened the sheet, minus that gained as it stiffened.
         kinetic_peak: Largest kinetic energy at the end of a window.
         peak_work: Largest magnitude of the work, external and of the tool, at the end of a window; carries no

@@ -243,7 +243,7 @@ def _crosses_inside(begin: Array, end: Array, corners: Array, margin: float, ste
 # A path inside an element from one place to another changes sides as often as it crosses the mold. Nodes in contact
 # with the mold are on the side from which they came; from them sides are propagated over the sheet, node by node.
 
-_APART = 1e-7  # of an element, how far inside it a way begins: it may end at an edge of the mold, but not run along it
+_APART = 1e-7  # of an element, how far inside it a way starts: it may end at an edge of the mold, but not run along it
 _SIDES_CHUNK = 300_000  # paths and triangles processed together
 
 

@@ -17,13 +17,13 @@ from jaxform.tools.search import SearchGrid, build_grid
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
-_ASKED, _MORE = 64, 4  # places, the farthest ones by a quick bound, that are looked at first, and times as many then
-_MOST = 20_000  # places: of a mold of more triangles every few are looked at
+_ASKED, _MORE = 64, 4  # places, the farthest ones by a quick bound, that are examined first, and times as many then
+_MOST = 20_000  # places: of a mold of more triangles every few are examined
 _REACH = 4.0  # sides of an element, to which distances are exact
 _LIFT = 0.05  # of a gap, how far before the mold, which a node may lie on, one looks from
 _FIRST = 0.2  # of the way to the mold, that is looked along first
 _CLOSE = 1e-3  # of the way to the mold, that is not looked along: the place itself is on it
-_EDGE = 1e-6  # of a triangle's sides: what is looked at through an edge is hidden
+_EDGE = 1e-6  # of a triangle's sides: what is examined through an edge is hidden
 
 
 class Gap(NamedTuple):
@@ -59,7 +59,7 @@ def widest_gap(
 ) -> Gap:
     """The widest gap between a sheet and the mold before it.
 
-    The mold's corners and the middles of its triangles are looked at. What is beside the sheet or behind it, and what
+    The mold's corners and the middles of its triangles are examined. What is beside the sheet or behind it, and what
     another part of the mold hides from it, is no gap; nor is what is nearest to its clamped edge, which ends there.
 
     Args:
@@ -72,7 +72,7 @@ def widest_gap(
         grid: Its search structure; made here by default.
         held: Elements (n_element,) before which nothing counts; those with a clamped node by default.
         counts: Says which places of the mold (n, 3) [m] count (n,); all by default.
-        places: Of the mold (n, 3) [m] that are looked at; those of `mold_points` by default.
+        places: Of the mold (n, 3) [m] that are examined; those of `mold_points` by default.
     """
     places = mold_points(mold) if places is None else places
     if not len(triangles) or not len(places):
@@ -97,7 +97,7 @@ def widest_gap(
 
 
 def mold_points(mold: Mold, chosen: NDArray[np.bool_] | None = None) -> Array:
-    """The places (n, 3) [m] of a mold that are looked at: corners and middles of its triangles, or of chosen ones."""
+    """The places (n, 3) [m] of a mold that are examined: corners and middles of its triangles, or of chosen ones."""
     walls, corners = np.asarray(mold.triangles), np.asarray(mold.vertices, float)
     walls = walls if chosen is None else walls[chosen]
     places = np.concatenate([corners[np.unique(walls)], corners[walls].mean(1)])

@@ -1,9 +1,9 @@
 """Penetration of a mold by a sheet. On the host.
 
 Nodes never pass the mold, but an element can span a convex edge of it and cut it. The side of the mold on which a place
-is follows from how often the path to it crosses the mold, from a node whose side is known: a stuck node is on the side
-from which it came. So neither the mold's triangles need turn the same way, nor must all that is on one part of a mold
-be on one side of it: a sheet may well be in contact with both sides of a flange.
+is follows from how often the path to it crosses the mold, from a node whose side is known: a node in contact is on the
+side from which it came. So neither the mold's triangles need turn the same way, nor must all that is on one part of a
+mold be on one side of it: a sheet may well be in contact with both sides of a flange.
 
 For this check stuck nodes are lifted off the mold, by a millionth of the mold's size to the side from which they came.
 """

@@ -302,7 +302,7 @@ def _normals(corners: Array) -> Array:
 _FINE, _SLENDER_MOST = 8.0, 600.0  # pixels along an element at least, and along the sheet at most
 _TALL = 1.5  # sides of an element, and of its own width: what is lower is followed by the nodes beside it
 _CORNER = 0.5  # of an element's radius, how far a right-angled corner reaches out of a disc in it
-_PARTS = 20  # places that stand up, of which each is looked at, the highest first
+_PARTS = 20  # places that stand up, of which each is examined, the highest first
 _POINTS = 2_000_000  # on the edges of the mold's triangles: a rib may be thinner than a pixel
 
 

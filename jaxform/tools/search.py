@@ -267,7 +267,7 @@ class SearchGrid:
         reach: Distance [m] from a cell within which it lists all triangles.
         size: Largest side of the mold's bounding box [m].
         bound: Lower bound (n_cell,) [m] on the distance to the mold from anywhere in the cell.
-        start: Where each cell's list begins (n_cell + 1,) in `listed`.
+        start: Where each cell's list starts (n_cell + 1,) in `listed`.
         ends: Where those triangles of each cell's list end (n_cell * CLASSES,) that are within a quarter of the reach,
             within a half, and so on; the nearer ones come first.
         listed: Rows of the tables below, cell by cell; rows are in an order in which neighbours are close.
@@ -531,7 +531,7 @@ def distance(points: jax.Array, frame: jax.Array) -> jax.Array:
 
 
 def _to_segment(away: jax.Array, along: jax.Array) -> jax.Array:
-    """Squared distance (n,) [m^2] from segments to points, both from the segments' begin."""
+    """Squared distance (n,) [m^2] from segments to points, both from the segments' start."""
     t = jnp.clip(dot(away, along) / dot(along, along), 0.0, 1.0)
     gap = away - t[None] * along
     return dot(gap, gap)

@@ -1,4 +1,4 @@
-"""Parameters of a material model and of its Maxwell branches as a vector within bounds, for any registered model."""
+"""Parameters of a material model and of its Prony terms as a vector within bounds, for any registered model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jaxform.extend import LAWS, LEAST, MODES, MOST, Modes, Range, as_real, list
 Array = np.ndarray
 
 VISCOUS = "viscous."
-"""Prefix of the names of the Maxwell branches' parameters."""
+"""Prefix of the names of the Prony terms' parameters."""
 DENSITY = 1000.0
 """Density [kg/m^3] of a material while it is fitted: in a slow process it has no effect."""
 _SMALLEST = 1e-9  # of the largest stress, a modulus that must be positive
@@ -30,7 +30,7 @@ class Number:
     """One parameter of the vector.
 
     Attributes:
-        name: Name in the table of the material; of Maxwell branches it begins with `viscous.`.
+        name: Name in the table of the material; of Prony terms it starts with `viscous.`.
         place: Index in a list; None where it is no list.
         allowed: Its range.
         unit: Value of the parameter where the vector has 1, or 0 for a logarithm.
@@ -69,7 +69,7 @@ class Numbers:
 
     Attributes:
         law: Class of the material model.
-        modes: Class of its Maxwell branches, or None.
+        modes: Class of its Prony terms, or None.
         all: The parameters, in the order of the vector.
     """
 
@@ -109,7 +109,7 @@ class Numbers:
         return law if self.modes is None else dataclasses.replace(law, viscous=self.modes(**of_modes))
 
     def group(self, values: Iterable[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The values (n,) of the material model and of its branches, by name; those of a list as a list."""
+        """The values (n,) of the material model and of its Prony terms, by name; those of a list as a list."""
         of_law: dict[str, Any] = {}
         of_modes: dict[str, Any] = {}
         for number, value in zip(self.all, values, strict=True):
@@ -121,7 +121,7 @@ class Numbers:
         return of_law, of_modes
 
     def order(self, free: Array) -> Array:
-        """The vector with the model's terms in order, the largest first, and its branches, the shortest first."""
+        """The vector with the model's terms in order, the largest first, and its Prony terms, the shortest first."""
         lists = {name: self._places(name) for name in dict.fromkeys(number.name for number in self.all)}
         terms = [places for name, places in lists.items() if len(places) > 1 and not name.startswith(VISCOUS)]
         modes = [places for name, places in lists.items() if name.startswith(VISCOUS)]
@@ -139,7 +139,7 @@ class Numbers:
         return np.flatnonzero([number.name == name for number in self.all])
 
     def starts(self, count: int) -> Array:
-        """Vectors (m, n) to begin with, always the same ones; one alone where all numbers are moduli."""
+        """Starting vectors (m, n), always the same ones; one alone where all numbers are moduli."""
         low, high = np.array([number.first for number in self.all]).T
         if np.all(self.moduli):
             return 0.5 * (low + high)[None]
@@ -151,13 +151,13 @@ class Numbers:
 def make_numbers(
     model: str, terms: int, kind: str, modes: int, stress: float, times: tuple[float, float] | None
 ) -> Numbers:
-    """The parameters of a material model and its Maxwell branches.
+    """The parameters of a material model and its Prony terms.
 
     Args:
         model: Name of the material model in `LAWS`.
         terms: Number of terms, where it has lists.
-        kind: Kind of the branches in `MODES`.
-        modes: Number of Maxwell branches; 0 for none.
+        kind: Kind of the terms in `MODES`.
+        modes: Number of Prony terms; 0 for none.
         stress: The largest stress of the data [Pa].
         times: The shortest and the longest time of the data [s]; None where there are no modes.
     """
@@ -197,7 +197,7 @@ def _initial_range(lower: float, upper: float) -> tuple[float, float]:
 def _of_mode(name: str, place: int, count: int, allowed: Range, stress: float, times: tuple[float, float]) -> Number:
     if allowed.unit == "Pa":
         return Number(VISCOUS + name, place, allowed, stress, False, _SMALLEST, np.inf, (1.0, 1.0))
-    # Each branch has its own part of the times, which are divided by equal factors.
+    # Each term has its part of the times, which are divided by equal factors.
     low, high = np.log(times)
     part = (high - low) / count
     begin = low + place * part

@@ -50,7 +50,7 @@ class Fit:
 
     Attributes:
         model: Name of the material model.
-        kind: Kind of the Maxwell branches; empty where there are none.
+        kind: Kind of the Prony terms; empty where there are none.
         solution: The parameters.
         confidence: Their intervals of confidence and correlation.
         weights: Weighting of the differences.
@@ -66,11 +66,11 @@ class Fit:
 
     @property
     def law(self) -> Law:
-        """The material model, of density 1000 kg/m^3, with its Maxwell branches."""
+        """The material model, of density 1000 kg/m^3, with its Prony terms."""
         return self.solution.problem.numbers.make(jnp.asarray(self.solution.free))
 
     def table(self, density: float) -> dict[str, Any]:
-        """The table `[material]` of a scene file, its Maxwell branches as a table `viscous` in it."""
+        """The table `[material]` of a scene file, its Prony terms as a table `viscous` in it."""
         numbers = self.solution.problem.numbers
         of_law, of_modes = numbers.group(float(f"{value:.8g}") for value in numbers.values(self.solution.free))
         made: dict[str, Any] = {"model": self.model, **of_law, "density": density}

@@ -153,5 +153,5 @@ def _convert_to_pull(table: Bubble) -> Pull:
 
 
 def only_slow(tables: Sequence[Table]) -> list[Table]:
-    """The tables without times, for a material model without Maxwell branches."""
+    """The tables without times, for a material model without Prony terms."""
     return [dataclasses.replace(table, time=None) for table in tables]

@@ -32,13 +32,13 @@ def fit(
     viscous: str | None = None,
     weights: str = "relative",
 ) -> Fit:
-    """Fits a material model, and Maxwell branches where there are tests for them, to all tests at once.
+    """Fits a material model, and Prony terms where there are tests for them, to all tests at once.
 
     Args:
         tables: The tests.
         model: Name of the material model in a scene file.
         terms: Number of terms, for models with lists; by default chosen by Schwarz's criterion, 3 at most.
-        modes: Number of Maxwell branches; by default none without relaxation tests, and with them chosen by the same
+        modes: Number of Prony terms; by default none without relaxation tests, and with them chosen by the same
             criterion, 4 at most.
         viscous: Their kind; by default "christensen".
         weights: "relative" or "absolute".

@@ -21,7 +21,7 @@ Array = np.ndarray
 
 LEVEL = 0.95
 """Level of the confidence intervals."""
-_STARTS, _BEST, _FEW = 100, 8, 2  # that are looked at, and from which a search begins, where it is quick and slow
+_STARTS, _BEST, _FEW = 100, 8, 2  # that are examined, and from which a search starts, where it is quick and slow
 _CALLS = 100  # of one search
 _SAMPLES = 24  # stretches in each state at which the stability of the model is checked
 _EXACT, _NO_CHANGE = 1e-6, 1e-5  # a difference that is none, and what changes differences by so little is no number
@@ -68,7 +68,7 @@ class Stability:
     """Drucker's condition, at stretches of the sheet that the tests reach.
 
     The second derivatives of the energy by logarithms of the stretches are positive definite: no small strain, whatever
-    its direction, then lets the true stress fall. It applies to the elastic model: the overstress of branches relaxes.
+    its direction, then lets the true stress fall. It applies to the elastic model: overstress relaxes.
     """
 
     def __init__(self, tables: list[Table], numbers: Numbers, stress: float) -> None:

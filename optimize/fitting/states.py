@@ -61,7 +61,7 @@ def split_path(values: NDArray[np.float64], times: NDArray[np.float64], first: f
 def history(stretch: NDArray[np.float64], time: NDArray[np.float64]) -> Path:
     """Stretch history of rows (n,): the first stretch is applied at time 0, and between rows it is linear in time [s].
 
-    Its steps are so small that the recursions of the Maxwell branches are accurate to a few parts in ten thousand.
+    Its steps are so small that the recursions of the Prony terms are accurate to a few parts in ten thousand.
     """
     after = split_path(stretch, time, float(stretch[0]), _SMALL)
     return Path(np.append(stretch[:1], after.value), np.append(0.0, after.step), after.row + 1)
@@ -71,7 +71,7 @@ def nominal_stress(law: Law, state: str, stretch: jax.Array, pulled: Path | None
     """Nominal stress (n,) [Pa] along the pull.
 
     Args:
-        law: The material model; its Maxwell branches count where there is a history.
+        law: The material model; its Prony terms count where there is a history.
         state: One of `STATES`.
         stretch: Stretch along the pull (n,).
         pulled: History of these; None for a slow test.

@@ -154,7 +154,7 @@ def _kind(path: Path, columns: dict[str, Array], settings: dict[str, str]) -> st
 
 
 def _parse(text: str, name: str) -> tuple[dict[str, Array], dict[str, str]]:
-    """The columns of a table, (n,) each, and its settings, which stand in lines that begin with #."""
+    """The columns of a table, (n,) each, and its settings, which stand in lines that start with #."""
     settings: dict[str, str] = {}
     lines: list[tuple[int, str]] = []
     for count, line in enumerate(text.split("\n"), 1):
@@ -187,7 +187,7 @@ def _cells(line: str, mark: str) -> list[str]:
 
 
 def _column(cell: str, name: str) -> str:
-    """The name in a cell such as `stress [Pa]`, its unit looked at."""
+    """The name in a cell such as `stress [Pa]`, with its unit checked."""
     match = re.fullmatch(r"([^\[(]*?)\s*(?:[\[(](.*?)[\])])?", cell)
     word, unit = (match[1].lower(), match[2]) if match else (cell, None)
     if _number(word) is not None:

@@ -26,7 +26,7 @@ Density = Zoned[Annotated[float, declared_range("material.density")]]
 
 
 class Viscous(Table):
-    """Maxwell branches, whose stress is added to that of the material model, which is then the long-term response.
+    """Prony terms, whose stress is added to that of the material model, which is then the long-term response.
 
     Attributes:
         kind: "christensen", which follows the strain, for sheets of thermoplastic; or "maxwell", upper-convected
@@ -97,7 +97,7 @@ class MaterialTable(Table):
         model: Name of the material model.
         model_file: A Python file that declares the model, relative to the scene file; for models that are not built in.
         density: Mass per volume [kg/m^3].
-        viscous: Maxwell branches; without them the sheet has no memory.
+        viscous: Prony terms; without them the sheet has no memory.
         shift: Time-temperature shift; without it the sheet's temperature has no effect on its stress.
         tension_field: Whether the sheet goes slack and wrinkles where it would otherwise be compressed.
     """

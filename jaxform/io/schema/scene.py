@@ -80,7 +80,7 @@ class RefinementTable(Table):
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
         proximity_factor: Distance that counts as near, in units of the element's longest side.
         mass_scaling_levels: Number of the finest levels with mass scaling, so that they do not shorten the step.
-        at_rest: Whether new nodes close to the mold begin at rest.
+        at_rest: Whether new nodes close to the mold start at rest.
         jump: Largest ratio, less 1, of neighbours' thicknesses; unlimited without it.
         elements: Initial capacity for elements; the run increases it as needed.
     """

@@ -77,7 +77,7 @@ class ThicknessFieldTable(Table):
 class PressureKnotsTable(Table):
     """Design the values [Pa] at the knots of the scene's pressure; `rate` [Pa/s], the last knot's time [s].
 
-    `held` keeps the first knot's value; else the history may begin with a jump.
+    `held` keeps the first knot's value; else the history may start with a jump.
 
     Attributes:
         kind: The kind of variable.
@@ -241,7 +241,7 @@ class _SearchTable(Table):
         goal: Stops when the objective is at most this.
         warm_start: Updates of the fixed point before the first iteration; by default as many as halve the objective,
             for a target or an even wall of which the sheet is a variable.
-        starts: Number of designs, scattered about the first one; the search begins at the best.
+        starts: Number of designs, scattered about the first one; the search starts at the best.
         rounds: Largest number of multiplier rounds for limits.
     """
 
