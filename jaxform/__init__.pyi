@@ -42,7 +42,7 @@ from .results.result import Result, parison_of
 from .results.summary import explain, summarize
 from .runs.host import Moment, run
 from .runs.padding import padded
-from .runs.simulation import simulate, simulate_batch
+from .runs.simulation import sensitivity, simulate, simulate_batch
 from .sheet.state import Schedule, Status
 from .sweeps.engine import Outcome
 from .sweeps.sweep import sweep
@@ -115,6 +115,7 @@ __all__ = [
     "replace",
     "run",
     "scenes",
+    "sensitivity",
     "shapes",
     "simulate",
     "simulate_batch",

@@ -1,10 +1,10 @@
-"""`simulate`, which is pure and differentiable, and `simulate_batch`."""
+"""`simulate`, which is pure and differentiable, `sensitivity` and `simulate_batch`."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray, Tracer
 from jax.custom_derivatives import SymbolicZero
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from jaxform.adapt.refinement import drop_sides, refine
 from jaxform.adjoint.strategies import Adjoint, choose_adjoint
@@ -26,7 +26,8 @@ from jaxform.dynamics.window_state import initial_state
 from jaxform.kernels.blocks import on_cpu
 from jaxform.kernels.derivatives import DerivativeRule, as_single_operation, recompute
 from jaxform.kernels.opaque_primitive import manual_axes
-from jaxform.model.replacement import check_scene, replace, sanitize_parameters
+from jaxform.mesh.volumes import areas
+from jaxform.model.replacement import check_scene, number_at, replace, sanitize_parameters
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, make_result
 from jaxform.runs.loop import IN_MEMORY, finalize_state, latest_decisions, skip_if_full, whole_run
@@ -166,6 +167,45 @@ def _checkpointed_windows(adjoint: Adjoint) -> DerivativeRule:
 
 
 # `simulate_batch`: many designs of a scene.
+
+
+def thinnest_wall(result: Result) -> jax.Array:
+    """The smallest thickness at a node of the part [m]."""
+    return jnp.min(jnp.where(result.active, result.thickness, jnp.inf))
+
+
+@with_standard_promotion
+def sensitivity(
+    scene: Scene, function: Callable[[Result], jax.Array] = thinnest_wall, path: str = "parison.thickness"
+) -> NDArray[np.float64]:
+    """The derivative of a result with respect to a field over the sheet, per area: a map for `jaxform.plot.sheet`.
+
+    It does not depend on how fine the mesh is: the change of the result is the integral, over the modelled sheet, of
+    the map times a small change of the field.
+
+    Args:
+        scene: The scene; its mesh is not refined.
+        function: What of a result is differentiated; by default the thinnest wall [m].
+        path: A field with a value at each node: the thickness or temperature of the parison, or a parameter of the
+            material.
+
+    Returns:
+        Values (n_node,): the unit of the result over that of the field and m^2.
+
+    Raises:
+        InputError: If the mesh is refined, or there is no such field.
+    """
+    check_scene(scene)
+    if scene.refinement is not None:
+        raise InputError("is refined, so that its nodes are not those of one mesh", "leave refinement out", "scene")
+    positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    present = number_at(scene, path)
+    if present is None or np.shape(present) not in ((), (len(positions),)):
+        raise InputError("is no field over the sheet", 'name one such as "parison.thickness"', "path", path)
+    values = jnp.broadcast_to(jnp.asarray(present), len(positions))
+    slope = jax.grad(lambda field: function(simulate(replace(scene, {path: field}))))(values)
+    around = np.bincount(triangles.reshape(-1), np.repeat(areas(positions, triangles) / 3.0, 3), len(positions))
+    return np.asarray(slope, float) / np.where(around > 0.0, around, np.inf)
 
 
 @with_standard_promotion

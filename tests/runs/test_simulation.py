@@ -392,3 +392,23 @@ def test_the_end_time_has_no_derivative_and_what_is_no_scene_is_told() -> None:
             call("dish")  # pyright: ignore[reportArgumentType]
     with pytest.raises(jaxform.InputError, match="is not a schedule"):
         jaxform.simulate(scene, schedule=3)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_sensitivity_map_is_the_change_per_area() -> None:
+    scene = scenes.cup()
+    mass = jaxform.sensitivity(scene, lambda result: result.mass)
+    np.testing.assert_allclose(mass, float(scene.material.density), rtol=1e-12)  # whatever the mesh
+    slope = jaxform.sensitivity(scene)
+    places, triangles = np.asarray(scene.parison.positions), np.asarray(scene.parison.triangles)
+    change = 1e-5 * np.asarray(scene.parison.thickness) * (1.0 + places[:, 0] - 2.0 * places[:, 1])
+    corners = places[triangles]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    integral = np.sum(area * (slope * change)[triangles].mean(axis=1))
+    ends = []
+    for sign in (1, -1):
+        changed = jaxform.replace(scene, {"parison.thickness": scene.parison.thickness + sign * change})
+        formed = jaxform.run(changed)
+        ends.append(float(np.asarray(formed.thickness)[np.asarray(formed.active)].min()))
+    np.testing.assert_allclose(integral, (ends[0] - ends[1]) / 2, rtol=1e-5)
+    with pytest.raises(jaxform.InputError, match="is no field over the sheet"):
+        jaxform.sensitivity(scene, path="pressure.value")
