@@ -18,11 +18,11 @@ _HERE = os.path.dirname(os.path.dirname(__file__))  # the package: warnings name
 class InputError(ValueError):
     """Input that cannot be simulated.
 
-    Its text is one line: ``FILE: KEY = VALUE: PROBLEM; MEND``, with the parts that are known.
+    Its text is one line: ``FILE: KEY = VALUE: PROBLEM; REMEDY``, with the parts that are known.
 
     Attributes:
-        problem: What is wrong, in words.
-        remedy: What to do about it, in words.
+        problem: Description of the problem.
+        remedy: Description of the remedy.
         key: Dotted key in the scene or study file, or the name of the argument.
         value: The offending value.
         file: The file it was read from.
@@ -48,7 +48,7 @@ class InputError(ValueError):
 
 
 class InputWarning(UserWarning):
-    """Input that can be simulated, but is hardly what its author wants; the command writes it into summary.json too."""
+    """Warning of input that can be simulated, but is probably wrong; the command writes it into summary.json, too."""
 
 
 def warn_of(problem: str, remedy: str = "", *, key: str = "", value: Any = None, file: str = "") -> None:

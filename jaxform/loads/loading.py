@@ -16,12 +16,12 @@ _LOOKS = 17
 
 
 class Interval(NamedTuple):
-    """The time from the start of one step to the start of the next, as a loading sees it.
+    """The interval from the start of one step to the start of the next.
 
     Attributes:
-        time: At its end [s].
-        length: [s]; 0 before the first step.
-        before, volume: What the sheet encloses at its start and at its end [m^3].
+        time: Time at its end [s].
+        length: Length [s]; 0 before the first step.
+        before, volume: Enclosed volume at its start and at its end [m^3].
     """
 
     time: jax.Array
@@ -33,8 +33,8 @@ class Interval(NamedTuple):
 class Loading:
     """Pressure difference on the sheet, positive along its triangles' normals.
 
-    A loading is a pytree whose numbers are leaves; its class is the static choice. It gives the pressure of a moment,
-    differentiable in all that it depends on::
+    A loading is a pytree whose parameters are leaves; its class is static. It defines the pressure at a time,
+    differentiable with respect to all its arguments::
 
         @jaxform.loading
         class Sealed(jaxform.Loading):
@@ -45,39 +45,42 @@ class Loading:
             def at(self, time, volume):
                 return self.content / (self.dead_volume + volume) - self.outside
 
-    The stable step knows how the pressure falls with the volume; gradients are by checkpoints (`jaxform.Checkpointed`).
+    The stable step includes the derivative of the pressure by the volume; gradients use `jaxform.Checkpointed`.
 
-    It may have a state of its own, such as a gas' temperature: an array, or a tree of arrays, that `start` gives, that
-    `after` takes from the start of each step to the start of the next, and that `at` is then given as well.
+    A loading may have a state, such as the temperature of a gas: an array, or a tree of arrays. `start` returns it at
+    time 0, `after` advances it from the start of each step to the start of the next, and `at` has it as an argument.
 
     Attributes:
-        follows_volume: Whether the pressure depends on the enclosed volume; where it does not, no step works it out.
+        follows_volume: Whether the pressure depends on the enclosed volume; if not, steps do not compute it.
     """
 
     follows_volume: ClassVar[bool] = True
 
     def at(self, time: jax.Array, volume: Any, *state: Any) -> jax.Array:
-        """Pressure [Pa] at a time [s], with so much volume [m^3] of the modelled part between the sheet and its origin.
+        """Pressure [Pa] at a time [s].
 
-        The volume is not computed, but None, where the pressure does not follow it; its own state is not given where
-        it has none.
+        Args:
+            time: Time [s].
+            volume: Volume [m^3] of the modelled part between the sheet and the origin; None if the pressure does not
+                follow it.
+            state: State of the loading, if it has one.
         """
         raise NotImplementedError
 
     def start(self, volume: jax.Array) -> Any:
-        """Its own state at time 0, with so much volume [m^3]; None where it has none, as by default."""
+        """The state at time 0, with an enclosed volume [m^3]; None, the default, for a loading without a state."""
         return None
 
     def after(self, state: Any, interval: Interval) -> Any:
-        """Its own state at the end of an interval; by default what it was."""
+        """The state at the end of an interval; by default unchanged."""
         return state
 
     def pushes(self, end_time: float, volume: float) -> np.ndarray:
-        """Pressures [Pa] of the process, by which one tells how much and which way it pushes; of numbers, not traced.
+        """Sampled pressures [Pa] of the process, which show its magnitude and direction; not traced.
 
         Args:
-            end_time: When it ends [s].
-            volume: What the sheet encloses at first [m^3].
+            end_time: End of the process [s].
+            volume: Initially enclosed volume [m^3].
         """
         length, same = as_real(end_time / (_LOOKS - 1)), as_real(volume)
         now, found = first_pressure(self, same), []

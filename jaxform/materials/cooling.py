@@ -25,9 +25,9 @@ class Cooling:
         heat_capacity: Of the sheet [J/(kg K)].
         air: Heat transfer coefficient to the air, on both sides [W/(m^2 K)].
         air_temperature: [degC].
-        mold: Heat transfer coefficient to the mold, on the side that touches it [W/(m^2 K)].
+        mold: Heat transfer coefficient to the mold, on the side in contact [W/(m^2 K)].
         mold_temperature: [degC].
-        conductivity: Of the sheet [W/(m K)]; None where its surfaces are as warm as its middle.
+        conductivity: Thermal conductivity of the sheet [W/(m K)]; None if its surfaces have its mean temperature.
     """
 
     heat_capacity: jax.Array = ranged_parameter(RANGES["cooling.heat_capacity"])
@@ -45,7 +45,7 @@ class Cooling:
         Args:
             temperature: Mean over the thickness (n,) [degC].
             wall: Thickness (n,) [m].
-            touching: Share (n,) of one side, of area and time, that touches the mold.
+            touching: Share (n,) of one side, in area and time, in contact with the mold.
             density: [kg/m^3], a number or (n,).
             time: [s], a number or (n,).
         """

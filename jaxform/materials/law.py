@@ -41,10 +41,10 @@ class _Dense:
 class Law(_Dense):
     """Strain energy of an incompressible isotropic material, as a function of the invariants (I1, I2).
 
-    A law is a pytree whose parameters are leaves; its class is the static choice. It gives its energy, and the rest
-    follows by automatic differentiation: a law that gives its derivatives in closed form compiles to a faster step,
-    and leaves out what it never has (decided by its class, never by a parameter's value: the gradient of that would
-    silently be zero)::
+    A material model is a pytree whose parameters are leaves; its class is static. It defines its energy, and the stress
+    follows by automatic differentiation. A model that defines the derivatives of its energy in closed form compiles to
+    a faster step, without the derivatives that are always zero (this depends on the class, never on the value of a
+    parameter, whose gradient would silently be zero)::
 
         @jaxform.law(model="yeoh")
         class Yeoh(jaxform.Law):
@@ -55,14 +55,14 @@ class Law(_Dense):
             def energy(self, i1, i2):
                 return self.c1 * (i1 - 3.0) + self.c2 * (i1 - 3.0) ** 2
 
-    Every law has a `density` [kg/m^3]. A number may vary over the sheet (zones): it then has one axis more, the last,
-    with a value for each node in a scene, and for each element where the law is computed.
+    Every model has a `density` [kg/m^3]. A parameter may vary over the sheet (zones): it then has an additional last
+    axis, with a value for each node in a scene, and for each element in the computation.
 
     Attributes:
-        viscous: Prony terms, whose stress is added; what the law says is then what is left in the end. None without.
-        shift: What temperature does to it; None for nothing.
-        tension_field: Whether the sheet goes slack where it would be compressed, as `tension_field` has it.
-        held_taut: Whether what is slack has the tangent of what just is not: for the stable step, not for forces.
+        viscous: Prony terms, whose stress is added to the long-term stress of the model; None for an elastic material.
+        shift: Time-temperature shift; None for a material that does not depend on temperature.
+        tension_field: Whether the sheet wrinkles where it would be compressed; see `jaxform.materials.tension_field`.
+        held_taut: Whether slack elements have the tangent of barely taut ones: for the stable step, not for forces.
     """
 
     viscous: Modes | None = dataclasses.field(default=None, metadata={"part": True})
@@ -72,13 +72,13 @@ class Law(_Dense):
 
     @property
     def elastic(self) -> Self:
-        """The law without its Prony terms, as it is at any temperature."""
+        """The model without its Prony terms and its shift."""
         if self.viscous is None and self.shift is None:
             return self
         return dataclasses.replace(self, viscous=None, shift=None)
 
     def at(self, temperature: jax.Array | None) -> Self:
-        """The law of elements at temperatures (n,) [degC]: what these shift varies; None for the reference."""
+        """The model of elements at temperatures (n,) [degC], with shifted parameters; None for the reference."""
         if self.shift is None or temperature is None:
             return self
         factor, numbers = self.shift.factor(temperature), {}
@@ -98,7 +98,7 @@ class Law(_Dense):
 
     @property
     def stiffest(self) -> Self:
-        """The law that bounds the stable step: a slack sheet may be taut before the window's end."""
+        """The model that bounds the stable step: a slack sheet may become taut within the window."""
         return dataclasses.replace(self, tension_field=False, held_taut=True) if self.tension_field else self
 
     @property
@@ -108,11 +108,11 @@ class Law(_Dense):
 
     @property
     def zones(self) -> dict[str, jax.Array]:
-        """Its numbers that vary over the sheet, (..., n) each, by name."""
+        """Parameters that vary over the sheet, (..., n) each, by name."""
         return {name: getattr(self, name) for name in varying_parameter_names(self)}
 
     def with_zones(self, zones: Mapping[str, jax.Array]) -> Self:
-        """The law with other values of parameters that vary."""
+        """The model with other values of parameters that vary."""
         return dataclasses.replace(self, **zones) if zones else self  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
 
     def energy(self, i1: jax.Array, i2: jax.Array, /) -> jax.Array:
@@ -124,7 +124,7 @@ class Law(_Dense):
         return _derivative_along(lambda x: self.energy(x, i2), i1), _derivative_along(lambda x: self.energy(i1, x), i2)
 
     def curvatures(self, i1: jax.Array, i2: jax.Array, /) -> tuple[Slope, Slope, Slope]:
-        """d2W/dI1^2, d2W/dI1 dI2 and d2W/dI2^2 [Pa]: the step's bound needs them, and none may be forgotten."""
+        """d2W/dI1^2, d2W/dI1 dI2 and d2W/dI2^2 [Pa]: the bound of the stable step needs all of them."""
         return (
             _derivative_along(lambda x: self.slopes(x, i2)[0], i1),
             _derivative_along(lambda x: self.slopes(i1, x)[0], i2),
@@ -141,11 +141,11 @@ class Law(_Dense):
         return next((values.shape[-1:] for values in self.zones.values()), ())
 
     def verify(self) -> None:
-        """Raises InputError where the numbers, each in its range, do not fit together; called on the host."""
+        """Raises InputError if parameters within their ranges are inconsistent; called on the host."""
 
 
 class PlaneLaw(Law):
-    """A material model as a function of the strain in the plane of the sheet, for laws in terms of stretches.
+    """A material model as a function of the strain in the plane of the sheet, for models in terms of stretches.
 
     `energy`, `slopes` and `curvatures` get the trace T = l1^2 + l2^2 and the determinant D = (l1 l2)^2 of the right
     Cauchy-Green tensor in the plane instead of I1 and I2, and the third stretch is (l1 l2)^-1. Both slopes are there.

@@ -146,7 +146,7 @@ class Christensen(Modes):
     """S = integral of g1(t - s) dE/ds ds, E = (C - 1) / 2, g1 a sum of exponentials (the paper's reference 13).
 
     Attributes:
-        modulus: One number for each mode (n_mode,) [Pa]; half their sum is added to the shear modulus at once.
+        modulus: Modulus of each term (n_mode,) [Pa]; half their sum is part of the instantaneous shear modulus.
         time: Relaxation times (n_mode,) [s].
     """
 
@@ -199,7 +199,7 @@ class Maxwell(Modes):
     The same is known as Lodge's rubber-like liquid and as K-BKZ without damping.
 
     Attributes:
-        modulus: One number for each mode (n_mode,) [Pa]; their sum is added to the shear modulus at once.
+        modulus: Modulus of each term (n_mode,) [Pa]; their sum is part of the instantaneous shear modulus.
         time: Relaxation times (n_mode,) [s].
     """
 

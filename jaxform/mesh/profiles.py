@@ -56,7 +56,7 @@ class Profile:
         """The quantity at the nodes (n, 3) [m] of a sheet.
 
         Warns:
-            InputWarning: If the knots are hardly meant for it: the sheet has one value, or is a small part of them.
+            InputWarning: If the knots hardly overlap the sheet, so that the quantity is constant or nearly so.
         """
         place, at = self.coordinate(positions), np.asarray(self.at)
         low, high = float(place.min()), float(place.max())
@@ -70,7 +70,7 @@ class Profile:
         return self(positions)
 
     def positive(self) -> Profile:
-        """The profile itself when every value is above zero (a thickness, say); InputError otherwise."""
+        """The profile itself if all values are positive; raises InputError otherwise."""
         if min(self.value) <= 0:
             raise InputError("is not positive everywhere", "give values above 0", f"{self.key}.value", self.value)
         return self

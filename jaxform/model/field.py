@@ -46,12 +46,12 @@ class Field:
             def after(self, values, step):
                 return values * jnp.exp(-self.rate * step.length)
 
-    Given to `build_scene(fields={"temperature": ...})` it is in `Result.fields` and in final.vtu under that name, and
-    `replace` and gradients know its numbers as fields.temperature.rate. Values are in whatever order the run has its
-    nodes in: a node's must follow from what is given of that node alone. Gradients are by checkpoints.
+    With `build_scene(fields={"temperature": ...})` it is in `Result.fields` and in final.vtu under that name, and
+    `replace` and gradients know its parameters, such as fields.temperature.rate. A run orders its nodes differently:
+    the value at a node may depend on data of the same node only. Gradients use checkpoints.
 
     Attributes:
-        rests: Whether values stay constant where a node sticks. Otherwise stuck nodes are stepped until the end.
+        rests: Whether values are constant at nodes in contact. Otherwise these are computed in each step.
     """
 
     rests: ClassVar[bool] = False

@@ -22,9 +22,9 @@ class Trim:
     """A plane across an axis at which the part is cut off.
 
     Attributes:
-        at: Its place along the axis [m].
+        at: Its position along the axis [m].
         axis: 0, 1 or 2.
-        above: Whether what lies above it is the part.
+        above: Whether the part is above it.
     """
 
     at: jax.Array
@@ -38,9 +38,9 @@ class Part:
 
     Attributes:
         box: Lowest and highest corner (2, 3) [m] of the box that holds an element's middle; None for everywhere.
-        trim: The side of a plane on which the middle of an element lies; None for both.
-        walls: Triangles of the mold (n_triangle,) that the part touches: more of an element's nodes stick to these
-            than to others; elements without contact belong to what is next to them. None for all.
+        trim: The side of a plane on which the centre of an element lies; None for both.
+        walls: Mask of the mold's triangles (n_triangle,) of the part: an element belongs to it if more of its nodes are
+            in contact with these than with others, and an element without contact if its neighbours do. None for all.
     """
 
     box: jax.Array | None = None

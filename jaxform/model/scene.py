@@ -58,12 +58,13 @@ class Solver:
         end_time: End of the simulation [s].
         damping: Mass-proportional damping [1/s], rho h0 (a + damping v) = f; None leaves the term out.
         safety: Fraction of the stable step that is taken.
-        skip_stuck: Whether elements whose nodes all stick leave the list of those that are active.
-        skip_far: Whether contact is tested for the nodes that can reach the mold within a window only.
+        skip_stuck: Whether elements with all nodes in contact are removed from the active set.
+        skip_far: Whether contact is tested only for nodes that can reach the mold within a window.
         end_early: Whether the run ends when nothing can move any more.
-        sharp_step: Whether the stable step is measured by Lanczos' method; else it is bounded element by element.
-        quasi_static: Whether the process is meant to be slow; a warning tells if inertia or damping matter.
-        max_steps: Number of steps at which `run` stops at the latest.
+        sharp_step: Whether the stable step is computed by Lanczos' method; else it is bounded element by element.
+        quasi_static: Whether the process is meant to be slow; there is a warning if inertia or damping affects the
+            wall.
+        max_steps: Largest number of steps of `run`.
     """
 
     end_time: jax.Array
@@ -85,15 +86,15 @@ class Refinement:
         angle: Largest angle [degrees] of an element's and its neighbours' normals to their mean (paper, 3.3).
         min_area: Smallest initial area of a part [m^2].
         interval: Steps between two checks of the mesh, rounded up to whole windows.
-        max_level: Elements at this level are not bisected for their own shape, only to fit their neighbours.
+        max_level: Elements at this level are bisected only for conformity with their neighbours.
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
         proximity_factor: Distance that counts as near, as a multiple of the element's longest side.
         jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
         mass_scaling_levels: Number of the finest levels whose mass is scaled, so that they do not shorten the step.
-        at_rest: Whether new nodes start at rest that are nearer to the mold than half their edge, or its search grid's
-            reach; from a whole one on they move as their edge did, in between somewhat slower. Else all move as their
-            edges did, which keeps the momentum, but makes a replay jump where a node comes into contact just before or
-            just after a window boundary.
+        at_rest: Whether new nodes start at rest if their distance to the mold is below half the length of their edge,
+            or the reach of the search grid; above one length they have the velocity of their edge, in between a
+            fraction of it. Without it all new nodes have the velocity of their edge, which conserves the momentum, but
+            makes a replay discontinuous where a node comes into contact close to a window boundary.
         elements: Capacity: the largest number of elements.
     """
 
@@ -130,7 +131,7 @@ class Adaptivity(NamedTuple):
 
 @pytree
 class Scene:
-    """All that a simulation needs; made by `build_scene` or `load`.
+    """A scene to simulate, built by `build_scene` or `load`.
 
     Attributes:
         parison: The sheet.
@@ -143,7 +144,7 @@ class Scene:
         name: Name of the scene.
         fields: User-defined nodal fields, by name.
         cooling: Cooling of the sheet; None where it keeps its temperature.
-        fill: Whether the mold is to be filled: where it is not, the status of a run says so.
+        fill: Whether the mold is to be filled: if not, the status of a run has `UNFILLED`.
         part: The part of the formed sheet; None where all of it is the part.
     """
 
@@ -199,7 +200,7 @@ class Scene:
 
     @property
     def rests(self) -> bool:
-        """True where stuck nodes stay unchanged, so that a run can end when all nodes stick."""
+        """True if nodes in contact no longer change, so that a run can end when all nodes are in contact."""
         return self.motion is None and all(field.rests for field in self.fields.values())
 
     @property
@@ -224,12 +225,12 @@ class Scene:
 
     @property
     def reversible(self) -> bool:
-        """True where every part can be stepped backwards, as the reversed scheme does."""
+        """True if the steps can be inverted, as the reversed scheme does."""
         return not self.irreversible_parts
 
     @property
     def irreversible_parts(self) -> list[str]:
-        """The parts that cannot be stepped backwards, in words; none where the scene is reversible."""
+        """Descriptions of the parts whose steps cannot be inverted; none if the scene is reversible."""
         parts = {
             "it has user-defined fields": bool(self.fields),
             "its material has Prony terms": self.material.viscous is not None,

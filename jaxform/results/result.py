@@ -133,15 +133,15 @@ class Result:
     Attributes:
         positions: Final node positions (n_node, 3) [m].
         reference: Initial node positions (n_node, 3) [m], in the same order, those of inserted nodes included.
-        thickness: Final thickness at the nodes (n_node,) [m]: the linear function that fits h/h0 of the adjacent
-            elements best, at rims carried on from inside, times the node's initial thickness; 0 where the
-            node does not exist. See `jaxform.results.recovery`. NaN where the status has `Status.INPUT`: nothing was
-            simulated. So are the elements' thickness, volume and stretches, and the mass.
+        thickness: Final thickness at the nodes (n_node,) [m]: h/h0 by a linear least-squares fit to the adjacent
+            elements, extrapolated at rims, times the initial thickness of the node; 0 where the node does not exist.
+            See `jaxform.results.recovery`. With `Status.INPUT` nothing was simulated, and the thickness, volume and
+            stretches of nodes and elements and the mass are NaN.
         active: Nodes that exist at the end (n_node,).
-        stuck: Nodes that do not move any more (n_node,).
-        contact_time: Time at which a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
-        wall: Contact of a node (n_node,): one more than the number of the mold's triangle, negative where the node
-            came from the far side of its normal; 0 where it does not touch the mold.
+        stuck: Mask of the nodes that no longer move (n_node,): in contact, or clamped.
+        contact_time: Time of contact of each node (n_node,) [s]; -1 where free, 0 where clamped.
+        wall: Contact of a node (n_node,): one more than the number of the mold's triangle, negative if the node came
+            from the side opposite to its normal; 0 without contact.
         fields: The scene's own nodal fields, by name (n_node,); 0 where the node does not exist.
         triangles: Node numbers of the elements (n_element, 3).
         level: Number of bisections of each from the scene's mesh (n_element,).
@@ -158,13 +158,12 @@ class Result:
         status: Bits of `jaxform.Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
-        filling: Filling of the mold, where it was measured: `run` does that where it is not certain; else None.
-        temperature: Temperature at the nodes (n_node,) [degC], where the sheet cools; at the end time where nothing can
-            move any
-            more before. None where it keeps its initial one.
+        filling: Filling of the mold, if it was measured: `run` does so if it is uncertain; else None.
+        temperature: Temperature at the nodes (n_node,) [degC] at the end time, if the sheet cools; None if it keeps its
+            initial temperature.
         loading: Final state of the loading; None where it has none.
-        out_of_range: Numbers of the scene that were out of range, as bits of several words, in the order of
-            `core.ranges.DESIGNABLE`; 0 where none was. None from the host's loop, which refuses them.
+        out_of_range: Numbers of the scene out of range, as bits of several words, in the order of
+            `core.ranges.DESIGNABLE`; 0 if none. None for `run`, which refuses them.
     """
 
     positions: jax.Array = dataclasses.field(metadata=NODAL)

@@ -17,13 +17,13 @@ from jaxform.tools.motion import Motion
 
 @pytree
 class Mold:
-    """A rigid triangulated surface to which the sheet sticks; the triangles' orientation does not matter.
+    """A rigid triangulated surface with sticking contact; the orientation of its triangles has no effect.
 
     Attributes:
         vertices: Vertex positions (n_vertex, 3) [m].
         triangles: Vertex numbers (n_triangle, 3).
         dropped: Degenerate or duplicate triangles that were left out of the file's.
-        motion: Its motion, and that of what sticks to it; None where it rests.
+        motion: Its motion, which nodes in contact follow; None if it is at rest.
     """
 
     vertices: jax.Array
@@ -46,7 +46,7 @@ class Mold:
         return np.concatenate([self.vertices_at(time)[corners] for time in times])
 
     def at(self, time: float) -> Mold:
-        """The mold at rest where it is at a time [s]; on the host."""
+        """The mold at rest at its position at a time [s]; on the host."""
         there: Any = self.vertices_at(time)
         return self if self.motion is None else dataclasses.replace(self, vertices=there, motion=None)
 

@@ -22,7 +22,7 @@ _SLACK = 16  # roundings of a time
 class Motion:
     """Displacement of a tool along a straight line; it rests before its first and after its last knot.
 
-    Between two knots it moves as a cubic: smoothly, never beyond them, and at rest where it turns (F. N. Fritsch,
+    Between knots it follows monotone cubics, at rest where the direction changes (F. N. Fritsch,
     J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984).
 
     Attributes:
