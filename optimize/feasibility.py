@@ -37,7 +37,7 @@ def check(study: Study) -> None:
 
 
 def doubts(study: Study) -> list[str]:
-    """A sentence for each variable that starts elsewhere than the scene, and each target that none comes near."""
+    """A sentence for each variable whose start differs from the scene, and for each target that cannot be reached."""
     thickest = _thickest(study)
     return _moved_numbers(study) + [
         f"{key}.thickness cannot be reached: it is {float(np.min(part.nodal)):.3g} m or more everywhere, and a sheet "

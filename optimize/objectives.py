@@ -83,7 +83,7 @@ class Objective:
 
 
 class Target(Objective):
-    """Come close to a final thickness.
+    """The deviation of the wall from a target thickness.
 
     The objective is the square of the relative deviation of the wall from the target, averaged over the formed area.
 
@@ -92,7 +92,7 @@ class Target(Objective):
         thickness: The target [m]: a number, a field (n_node,), or a `Profile` (along a place in the formed part, or,
             with `initial`, in the initial sheet).
         initial: Whether the profile's place is that in the initial sheet.
-        limit: The deviation (rms) that must be kept; then coming close is a constraint, and the value is 0.
+        limit: Largest allowed deviation (rms); the objective is then a constraint, and its value is 0.
 
     Attributes:
         uniform: The target where it is one number, else None [m].
@@ -165,7 +165,7 @@ class Target(Objective):
 
 
 class Uniform(Objective):
-    """Make the wall even: the square of its coefficient of variation over the formed area."""
+    """The square of the wall's coefficient of variation over the formed area."""
 
     squares = aims = True
 

@@ -23,15 +23,16 @@ _STEEPEST = {"linear": 1.0, "cubic-ramp": 3.0}  # the largest slope between two 
 
 
 class PressureKnots:
-    """Pressure at the knots of the scene's history, and how fast the history runs.
+    """Pressure at the knots of the scene's history, and the duration of the history.
 
     Args:
         scene: The scene; its own pressure is the start.
         bounds: Least and largest pressure [Pa].
-        increasing: Whether the pressure must never fall from knot to knot.
+        increasing: Whether the pressure may not decrease from knot to knot.
         rate: Largest change from knot to knot [Pa/s], or None.
         held: Whether the first knot keeps its value: else the history may start with a jump.
-        end_time: Least and largest time of the last knot [s], with which all others move; None leaves them.
+        end_time: Smallest and largest time of the last knot [s], with which all others are scaled; None for fixed
+            times.
 
     Raises:
         InputError: If the bounds do not increase, or the history would outlast the simulation.

@@ -100,13 +100,13 @@ class ThicknessProfile(_SheetMap):
         bounds: Least and largest thickness [m].
         knots: Number of knots (of zones), evenly placed over the sheet; or
         at: Their places [m], increasing (of zones, their boundaries).
-        interpolation: "linear" between knots; "cubic", a spline that the knots' values pull on, and in whose bounds and
-            slopes it stays; "zones", each of one thickness.
+        interpolation: "linear" between knots; "cubic", a B-spline with the knots' values as coefficients, within the
+            same bounds and slopes; "zones" of constant thickness.
         slope: Largest change of thickness along the place [m/m]; None for any.
 
     Raises:
-        InputError: If the bounds do not increase, or neither or both of `knots` and `at` are given, or they do not go
-            with the interpolation.
+        InputError: If the bounds do not increase, neither or both of `knots` and `at` are given, or they are not
+            possible with the interpolation.
     """
 
     def __init__(
@@ -179,13 +179,13 @@ def _spline(place: Array, knots: int | None, at: Sequence[float] | None) -> tupl
 class ThicknessField(_SheetMap):
     """Initial thickness at every node of the mesh, no finer than a length.
 
-    Numbers stand about half that length apart; each node takes their mean, weighted by the distance (and by that to
-    their images in the symmetry planes, so that the field is level across them).
+    The variables are values at nodes about half that length apart; each node has their mean, weighted by distance (with
+    their images in the symmetry planes, so that the field is smooth across them).
 
     Args:
         scene: The scene whose sheet is designed; its own thickness is the start.
         bounds: Least and largest thickness [m].
-        smoothness: The length [m]; 0 leaves every node of the mesh to itself.
+        smoothness: The length [m]; 0 for an independent value at every node of the mesh.
 
     Raises:
         InputError: If the bounds do not increase, or the length is negative or far below the mesh's.

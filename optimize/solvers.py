@@ -139,8 +139,8 @@ def solve(
         journal: Journal on disk, so that a killed search can be resumed; none by default.
 
     Raises:
-        InputError: If the study asks for what its objective or variables do not have, or the initial scene
-            cannot be simulated to its end, or it asks for what no design within the bounds can reach.
+        InputError: If method, objective and variables cannot be combined, the initial scene cannot be simulated to its
+            end, or no design within the bounds can satisfy a limit.
     """
     check(study)
     if on_wait is not None:
@@ -216,7 +216,7 @@ def _cost(scene: Scene) -> float:
 
 
 def check(study: Study) -> None:
-    """Raises InputError where method, objective and variables do not go together, or a limit is out of all reach."""
+    """Raises InputError if method, objective and variables cannot be combined, or a limit cannot be satisfied."""
     _check_method(study)
     feasibility.check(study)
 

@@ -157,7 +157,7 @@ def write_history(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Writes the rows of a history as CSV with the columns `COLUMNS`, and `LIMIT_COLUMNS` where there are limits.
 
     Raises:
-        InputError: It cannot be written; what was there before is kept.
+        InputError: It cannot be written; a previous file is kept.
     """
     rows = list(rows)
     limits = LIMIT_COLUMNS if rows and LIMIT_COLUMNS[0] in rows[0] else ()

@@ -161,7 +161,7 @@ class Scale:
 
     Args:
         scene: The scene; its own values are the start, factor 1.
-        of: The scaled quantity: a number that `jaxform.replace` takes and is no time, such as "material.c".
+        of: The scaled quantity: a number that `jaxform.replace` accepts, except times, such as "material.c".
         bounds: Least and largest factor.
 
     Raises:

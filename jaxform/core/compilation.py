@@ -28,12 +28,11 @@ _CROWDED = 0.5  # of the mappings that Linux lets a process have
 def compiler_options() -> dict[str, int | str]:
     """Options for `jax.jit` around `simulate`, or for `compile` of its lowering: up to a quarter less run time.
 
-    On the CPU the widest vectors it has, 512 bits: LLVM takes half of them by itself. Where there are none so wide it
-    changes nothing. And not the highest level of optimization: it unrolls short loops before it looks whether they can
-    be done in vectors, and then they cannot. Long work on whole arrays beside the simulation may want that level: give
-    it a `jit` of its own. And, where it knows of that, no sharing out of sums and products of whole arrays over
-    threads: the arrays are so short that this takes longer than they do. On other devices there is nothing to ask for.
-    `run`, `simulate_batch` and designs use it.
+    On the CPU they enable vectors of 512 bits, of which LLVM uses half by default; without such vectors this has no
+    effect. They lower the level of optimization, since the highest one unrolls short loops before it vectorizes them;
+    put long operations on whole arrays beside the simulation into a separate `jit`. And, if this version of XLA has the
+    option, they turn off threads for sums and products of whole arrays, which are too short for them. On other devices
+    there are no options. `run`, `simulate_batch` and designs use them.
     """
     if jax.default_backend() != "cpu":
         return {}
@@ -52,14 +51,14 @@ def _optional_flags() -> dict[str, int | str]:
 
 
 def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """Has JAX keep what it compiles for the next process, and returns the folder; a script then starts in seconds.
+    """Makes JAX store compiled programs for later processes, and returns the folder; a script then starts in seconds.
 
     Args:
-        folder: Where. By default where JAX keeps programs already (`JAX_COMPILATION_CACHE_DIR`), else in the user's
-            cache folder, as the command does. Programs from it are run: let nobody else write to it.
+        folder: The folder. By default JAX's (`JAX_COMPILATION_CACHE_DIR`), else the user's cache folder, as for the
+            command. Programs in it are executed: nobody else should be able to write to it.
 
     Returns:
-        The folder; None where the user has no cache folder that is theirs alone: then nothing is kept.
+        The folder; None if the user has no private cache folder: then nothing is stored.
 
     Raises:
         InputError: If the folder cannot be made.

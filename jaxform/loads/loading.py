@@ -129,8 +129,8 @@ def loading[T: Loading](cls: type[T]) -> type[T]:
     """Makes a class a loading: a frozen dataclass and a pytree, its numbers known to `replace` and to designs.
 
     Raises:
-        InputError: It does not derive from `Loading`, gives no pressure, has an undeclared number, or has a state of
-            its own but does not follow the volume.
+        InputError: It does not derive from `Loading`, defines no pressure, has an undeclared parameter, or has a state
+            but does not follow the volume.
     """
     remedy = "derive it from jaxform.Loading and define its pressure, `at`"
     made = register_part(cls, Loading, "at", remedy, "pressure")

@@ -74,7 +74,7 @@ def field[T: Field](cls: type[T]) -> type[T]:
     """Makes a class a field: a frozen dataclass and a pytree, its numbers known to `replace` and to designs.
 
     Raises:
-        InputError: It does not derive from `Field`, says not how it starts, or has an undeclared number.
+        InputError: It does not derive from `Field`, does not define `start`, or has an undeclared parameter.
     """
     remedy = "derive it from jaxform.Field and define its initial value, `start`"
     return register_part(cls, Field, "start", remedy, "fields")

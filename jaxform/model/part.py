@@ -69,10 +69,10 @@ def make_part(
     Args:
         box: Lowest and highest corner (2, 3) [m], in formed positions.
         trim: Axis, place along it [m], and which side is the part: ("z", 0.002, "above").
-        walls: Mask (n_triangle,) of the mold's triangles that the part touches.
+        walls: Mask (n_triangle,) of the mold's triangles with which the part is in contact.
 
     Raises:
-        InputError: Nothing is given, a number is not finite, or a box has no inside.
+        InputError: Nothing is given, a number is not finite, or a box has no volume.
     """
     if box is None and trim is None and walls is None:
         raise InputError("says nothing", "give box, trim or walls", "part")

@@ -29,13 +29,13 @@ from jaxform.model.tables import SHORT_WINDOW
 def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
     """A scene with other numbers at dotted paths, such as {"pressure.value": new}; the way to differentiate.
 
-    A number takes its old shape, or may be broadcast to it; one of the law may take a value at each node of the parison
-    instead, (..., n_node). Meshes are not replaced but built again. Traced values cannot
-    be checked here: if one is out of its range, `simulate` simulates nothing and its status says so.
+    A new value has the shape of the old one, or is broadcast to it; a material parameter may have a value at each node
+    of the parison instead, (..., n_node). Meshes cannot be replaced: build a new scene. Traced values are not checked
+    here: if one is out of its range, `simulate` simulates nothing and its status has `INPUT`.
 
     Raises:
-        InputError: If a path does not exist or does not fit the scene, or a value is no real number, has another shape
-            or, where it is known (not traced), is not finite or out of its range.
+        InputError: If a path does not exist or does not fit the scene, or a value is not a real number, has another
+            shape or, if it is not traced, is not finite or out of its range.
     """
     check_scene(scene)
     before = scene

@@ -265,11 +265,10 @@ def make_parison(
         thickness: Initial thickness [m], a number or (n_node,).
         clamped: Mask of the nodes that never move.
         fixed: Mask (n_node, 3) of components that never move, for symmetry planes; none by default.
-        temperature: Temperature of the sheet [degC], a number or (n_node,); None where the law does not need it.
+        temperature: Temperature of the sheet [degC], a number or (n_node,); None if the material does not depend on it.
 
     Raises:
-        InputError: If a thickness is not positive or not finite, is no number, or does not fit the mesh; or if a
-            temperature does not.
+        InputError: If a thickness is not a positive finite number, or thickness or temperature do not fit the mesh.
     """
     count = len(positions)
     return Parison(

@@ -103,20 +103,20 @@ def build_scene(
         solver: Options of the time integration.
         mold: The mold; None for free inflation.
         refinement: Adaptive refinement; None for a fixed mesh.
-        forest: Forest of the parison's mesh, where the parison has its nodes already; else it is built here, and new
-            nodes have the mean thickness of their edges' ends.
-        fields: Nodal fields that the sheet carries, by name; with a value at each node of the parison.
+        forest: Hierarchy of the parison's mesh, if the parison has its nodes already; else it is built here, with the
+            mean thickness of the ends of their edge at new nodes.
+        fields: Nodal fields of the sheet, by name, with a value at each node of the parison.
         cooling: Cooling of the sheet; None where it keeps its temperature.
-        fill: Whether the mold is to be filled: where a fifth of its depth is left open, the status of a run says so.
+        fill: Whether the mold is to be filled: if a gap of a fifth of its depth remains, the status has `UNFILLED`.
         part: The part of the formed sheet, from `make_part`, to which statistics, objectives and pictures refer; all of
             it by default.
         name: Name of the scene.
-        frames: Number of moments at which the run is to be observed, which are boundaries of its windows.
-        store: Store in which the mold's search structure is kept between runs; nowhere by default.
+        frames: Number of times at which the run is observed, which are window boundaries.
+        store: Store of the mold's search structure between runs; none by default.
 
     Raises:
-        InputError: If the parison's mesh is degenerate, can move away as a whole, or starts through the mold; or if
-            the run would take more steps than anyone would wait for.
+        InputError: If the parison's mesh is degenerate, can move as a rigid body, or initially penetrates the mold; or
+            if the run would take too many steps.
     """
     check_untraced()
     _warn_of_float32()

@@ -359,17 +359,17 @@ _THINNEST = 0.5  # of the mean of its elements: below this a corrected nodal thi
 def parison_of(result: Result, scene: Scene) -> Parison:
     """The formed part as a parison, for `build_scene` of the next stage: its shape without stress, and its mass.
 
-    The mesh is that of the nodes and elements that exist at the end. What was clamped stays clamped, what was on a
-    symmetry plane stays on it. Numbers of the material that vary over the sheet are not part of a parison; a scene
-    that has some needs them at the nodes of this one, `result.active` of the former ones.
+    The mesh has the nodes and elements that exist at the end. Clamped nodes and nodes on symmetry planes keep their
+    constraints. Material parameters that vary over the sheet are not part of a parison; the next scene needs them at
+    the nodes of this parison, which are `result.active` of the former ones.
 
     Args:
         result: The part; not traced.
         scene: The simulated scene.
 
     Returns:
-        The parison, with the final positions (n_node, 3) [m], and with a nodal thickness (n_node,) [m] of which the
-        elements' volumes sum up to those of the part to rounding.
+        The parison, with the final positions (n_node, 3) [m], and a nodal thickness (n_node,) [m] with the volume of
+        the part to rounding.
     """
     kept, part = drop_unused(scene, result)
     positions, triangles = np.asarray(part.positions, float), np.asarray(part.triangles)

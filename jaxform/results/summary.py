@@ -65,10 +65,10 @@ _REMEDIES = {
 def explain(result: Result) -> Any:
     """The status in words: "ok", or what stopped the run, when and where, and what may help.
 
-    Of results side by side (from `vmap` or `simulate_batch`) a list with a sentence for each.
+    For stacked results (of `vmap` or `simulate_batch`) a list with a sentence for each.
 
     Raises:
-        InputError: If it is not a result, or one that is traced.
+        InputError: If it is not a result, or is traced.
     """
     if not isinstance(result, Result):
         raise InputError("is not a result", "give what `simulate`, `run` or `simulate_batch` returns", "result", result)

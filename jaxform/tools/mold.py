@@ -57,7 +57,7 @@ def make_mold(vertices: np.ndarray, triangles: np.ndarray, dropped: int = 0, mot
     Degenerate triangles and copies are left out, and counted in `dropped` beside those left out before.
 
     Raises:
-        InputError: If no triangle with an area is left, one has a vertex that is not there, or a coordinate is not
+        InputError: If no triangle has an area, a triangle has a vertex that does not exist, or a coordinate is not
             finite.
     """
     vertices, triangles = np.asarray(vertices, float), np.asarray(triangles)

@@ -95,8 +95,8 @@ def make_motion(direction: ArrayLike, time: ArrayLike, displacement: ArrayLike) 
     """A motion along a direction (3,), through knots (n_knot,): times [s], increasing, and displacements [m].
 
     Raises:
-        InputError: If the knots do not increase, are fewer than two or not finite, or do not match; if the tool does
-            not start where it is, or the direction has no length.
+        InputError: If the knots do not increase, are fewer than two or not finite, or do not match; if the first
+            displacement is not 0, or the direction has no length.
     """
     way = np.atleast_1d(as_numbers("mold.motion.direction", direction)).astype(float)
     times = np.atleast_1d(as_numbers("mold.motion.time", time))

@@ -47,8 +47,7 @@ def fit(
         InputError: There is no such model, the tests do not determine its parameters, or JAX has no double precision.
 
     Warns:
-        InputWarning: A parameter is poorly determined or lies at its bound, or the model is unstable in the fitted
-            range or
+        InputWarning: A parameter is poorly determined or at its bound, or the model is unstable in the fitted range or
             fits badly.
     """
     _check(tables, model, terms, viscous, weights)

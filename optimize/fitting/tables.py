@@ -105,7 +105,7 @@ def read_table(source: str) -> Table:
     """A table of a CSV file, named by its path or as `KIND=PATH`.
 
     Raises:
-        InputError: There is no such file, or it has no known kind of test.
+        InputError: There is no such file, or its type of test is unknown.
     """
     kind, path = _split(source)
     # What no text file could have in it would stop the results later.
