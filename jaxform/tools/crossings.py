@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
 _CHUNK = 1_000_000  # pairs processed together, to bound the memory
+_IN_CACHE = 20_000  # pairs whose coordinates fit into a core's cache
 _SLACK = 1e-5  # of a radius, for rounding in a grid of float32
 _TOUCH = 1e-9  # of the mold's size, for rounding in heights above planes
 _STEEP = 1e-9  # of the mold's size: a path that changes its height over a triangle by less touches it
@@ -43,32 +44,45 @@ def near_pairs(
         Numbers of pieces (m,), and of the triangles (m,) that they may meet.
     """
     cells, reach = jax.device_get(grid), float(grid.reach)
-    mold_low, mold_high = bounding_boxes(mold_corners)
-    box = mold_low.min(0) - margin, mold_high.max(0) + margin
+    # The mold is well inside of its grid.
+    low, high = cells.corner - margin, cells.corner + cells.width * cells.shape + margin
+    touch = _TOUCH * float(np.max(high - low))
 
     def may_be_near(pieces: Array) -> NDArray[np.bool_]:
         middle, radius = _spheres(pieces, margin)
         return cells.bound[_cell_index(middle, cells)] * (1 - _SLACK) <= radius
 
-    pieces, owner = short_pieces(corners, reach, *box, may_be_near)
+    pieces, owner = short_pieces(corners, reach, low, high, may_be_near)
     low, high = bounding_boxes(pieces)
     low, high = low - margin, high + margin
     middle, radius = _spheres(pieces, margin)
-    normal, level = _planes(mold_corners)
-    touch = _TOUCH * float(np.max(box[1] - box[0], initial=0.0))
     cell = _cell_index(middle, cells)
     kind = np.ceil(CLASSES * radius * (1 + _SLACK) / reach).astype(np.int64) - 1
     begin, end = cells.start[cell], cells.ends[CLASSES * cell + np.clip(kind, 0, CLASSES - 1)]
+    # Of a fine mold few triangles are near to a few pieces.
+    few = int((end - begin).sum()) < len(mold_corners)
+    bounds = None if few else _boxes_and_planes(mold_corners)
     for row, place in expand_ranges(begin, end):
         piece, triangle = row, cells.number[cells.listed[place]]
+        known = triangle
+        if few:
+            some, known = np.unique(triangle, return_inverse=True)
+            bounds = _boxes_and_planes(mold_corners[some])
+        assert bounds is not None
+        mold_low, mold_high, normal, level = bounds
         for axis in range(3):
-            over = low[piece, axis] <= mold_high[triangle, axis]
-            over &= high[piece, axis] >= mold_low[triangle, axis]
-            piece, triangle = piece[over], triangle[over]
+            over = low[piece, axis] <= mold_high[known, axis]
+            over &= high[piece, axis] >= mold_low[known, axis]
+            piece, triangle, known = piece[over], triangle[over], known[over]
         # Slivers as long as the mold have large boxes; a piece that its plane does not cut is not near.
-        height = np.einsum("ij,ij->i", normal[triangle], middle[piece]) - level[triangle]
+        height = np.einsum("ij,ij->i", normal[known], middle[piece]) - level[known]
         cut = np.abs(height) <= radius[piece] + touch
         yield owner[piece[cut]], triangle[cut]
+
+
+def _boxes_and_planes(corners: Array) -> tuple[Array, Array, Array, Array]:
+    """Lowest and highest coordinates of triangles (n, 3, 3) [m], and their `_planes`."""
+    return *bounding_boxes(corners), *_planes(corners)
 
 
 def _spheres(pieces: Array, margin: float) -> tuple[Array, Array]:
@@ -195,10 +209,20 @@ def intersect(one: Array, other: Array) -> NDArray[np.bool_]:
 
 
 def _on_one_side(one: Array, other: Array) -> NDArray[np.bool_]:
-    """True where triangles (n, 3, 3) are on one side of the planes of others (n, 3, 3), pair by pair."""
-    normal = np.cross(other[:, 1] - other[:, 0], other[:, 2] - other[:, 0])
-    height = np.einsum("nkj,nj->nk", one - other[:, :1], normal)
-    return all_columns(height > 0) | all_columns(height < 0)
+    """True where triangles (n, 3, 3) are on one side of the planes of others (n, 3, 3), pair by pair.
+
+    Coordinate by coordinate, which is several times as fast as vector by vector.
+    """
+    result = np.zeros(len(one), bool)
+    for part in np.array_split(np.arange(len(one)), 1 + len(one) // _IN_CACHE):
+        ours, theirs = (np.ascontiguousarray(np.moveaxis(corners[part], 0, 2)) for corners in (one, other))
+        x, y, z = theirs[1] - theirs[0]
+        u, v, w = theirs[2] - theirs[0]
+        p, q, r = y * w - z * v, z * u - x * w, x * v - y * u
+        ours -= theirs[0]
+        height = ours[:, 0] * p + ours[:, 1] * q + ours[:, 2] * r
+        result[part] = (height > 0).all(0) | (height < 0).all(0)
+    return result
 
 
 def proper_crossings(

@@ -92,6 +92,6 @@ def test_elements_as_large_as_the_mold_are_cut_small_only_near_it(
     for element, one in enumerate(corners):
         cut = crossings.intersect(np.broadcast_to(one, walls.shape), walls)
         assert all((element, wall) in found for wall in np.flatnonzero(cut).tolist())
-    low, high = crossings.bounding_boxes(walls)
-    everywhere, _ = cut_small(corners, float(grid.reach), low.min(0), high.max(0))
+    low = np.asarray(grid.corner)
+    everywhere, _ = cut_small(corners, float(grid.reach), low, low + float(grid.width) * np.asarray(grid.shape))
     assert sum(counts) < 0.4 * len(everywhere), (counts, len(everywhere))
