@@ -38,58 +38,53 @@ from jaxform.tools.search import distance as distance_to
 _LANES = 64  # nodes that are processed together
 
 
-class NearestTriangle(NamedTuple):
-    """The nearest triangle's number (n,), -1 where none is within reach, its distance and height over its plane [m]."""
+def nearest_triangle(positions: jax.Array, wanted: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
+    """The nearest triangle to each wanted node; of equally near ones, the one that faces it most squarely.
 
-    triangle: jax.Array
-    distance: jax.Array
-    height: jax.Array
-
-
-def nearest_triangle(positions: jax.Array, wanted: jax.Array, grid: SearchGrid) -> NearestTriangle:
-    """The nearest triangle to each wanted node; of equally near ones, the one that faces it most squarely."""
+    Returns:
+        Its number (n,), -1 where none is within reach, and its distance (n,) [m].
+    """
     count = positions.shape[1]
     rows = -(-count // _LANES) * _LANES
     node, total = compact_indices(wanted, rows)
     cells = cell_of(positions, grid)
     tie = 1e-9 * grid.size
+    # Number and distance of the triangle, and the height over its plane.
+    none = jnp.int32(-1), jnp.asarray(jnp.inf, positions.dtype), jnp.asarray(0.0, positions.dtype)
 
-    def more_nodes(carry: tuple[jax.Array, NearestTriangle]) -> jax.Array:
+    def more_nodes(carry: tuple[jax.Array, list[jax.Array]]) -> jax.Array:
         return carry[0] < total
 
-    def search_nodes(carry: tuple[jax.Array, NearestTriangle]) -> tuple[jax.Array, NearestTriangle]:
+    def search_nodes(carry: tuple[jax.Array, list[jax.Array]]) -> tuple[jax.Array, list[jax.Array]]:
         first, found = carry
         lane = slice_at(node, first, _LANES)
         point, cell = positions[:, lane], cells[lane]
         begin = grid.start[cell]
         length = jnp.where(first + jnp.arange(_LANES) < total, grid.start[cell + 1] - begin, 0)
 
-        def more(carry: tuple[jax.Array, NearestTriangle]) -> jax.Array:
+        def more(carry: tuple[jax.Array, list[jax.Array]]) -> jax.Array:
             return carry[0] < jnp.max(length)
 
-        def compare(carry: tuple[jax.Array, NearestTriangle]) -> tuple[jax.Array, NearestTriangle]:
+        def compare(carry: tuple[jax.Array, list[jax.Array]]) -> tuple[jax.Array, list[jax.Array]]:
             k, best = carry
+            _, least, highest = best
             row = grid.listed[jnp.where(k < length, begin + k, 0)]
             frame = grid.frames[row]
             distance, height = distance_to(point, frame), dot(point - frame[:, :3].T, frame[:, 3:6].T)
-            closer = distance < best.distance - tie
-            squarer = (distance <= best.distance + tie) & (jnp.abs(height) > jnp.abs(best.height))
+            closer = distance < least - tie
+            squarer = (distance <= least + tie) & (jnp.abs(height) > jnp.abs(highest))
             take = (k < length) & (closer | squarer)
             new = grid.number[row], distance, height
-            return k + 1, NearestTriangle(*(jnp.where(take, a, b) for a, b in zip(new, best, strict=True)))
+            return k + 1, [jnp.where(take, a, b) for a, b in zip(new, best, strict=True)]
 
-        start = NearestTriangle(*(jnp.broadcast_to(value, (_LANES,)) for value in _no_triangle(positions.dtype)))
+        start = [jnp.broadcast_to(value, (_LANES,)) for value in none]
         _, best = jax.lax.while_loop(more, compare, (jnp.int32(0), start))
         mine = jnp.where(first + jnp.arange(_LANES) < total, lane, count)
-        put = [old.at[mine].set(value, mode="drop") for old, value in zip(found, best, strict=True)]
-        return first + _LANES, NearestTriangle(*put)
+        return first + _LANES, [old.at[mine].set(new, mode="drop") for old, new in zip(found, best[:2], strict=True)]
 
-    nothing = NearestTriangle(*(jnp.full(count, value) for value in _no_triangle(positions.dtype)))
-    return jax.lax.while_loop(more_nodes, search_nodes, (jnp.int32(0), nothing))[1]
-
-
-def _no_triangle(real: jnp.dtype) -> tuple[jax.Array, jax.Array, jax.Array]:
-    return jnp.int32(-1), jnp.asarray(jnp.inf, real), jnp.asarray(0.0, real)
+    nothing = [jnp.full(count, value) for value in none[:2]]
+    _, (triangle, distance) = jax.lax.while_loop(more_nodes, search_nodes, (jnp.int32(0), nothing))
+    return triangle, distance
 
 
 def closest_place(positions: jax.Array, mold: Mold, triangle: jax.Array, lands: jax.Array) -> jax.Array:
@@ -324,19 +319,19 @@ def _place_on_mold(
     (mold, grid), (limits, forest) = tool, adaptivity
     points, stuck = births.block_of(nodes.positions), births.block_of(nodes.stuck)
     free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
-    found = save_decision(nearest_triangle(places, free, grid))
+    closest, distance = save_decision(nearest_triangle(places, free, grid))
     begin, seen = save_decision(_paths_from_sheet(places, free, nodes, [older(end) for end in births.ends], tool))
-    touches = free & (found.distance <= search.touch_distance(grid))
+    touches = free & (distance <= search.touch_distance(grid))
     beyond = free & ~touches & (seen.count % 2 == 1)
     ends = [nodes.stuck[at] for at in births.ends]
     sticks = births.join_ends(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
     lands = births.new & sticks & ~stuck
     # The nearest triangle, and the one that the way from the sheet crosses last, in one go.
     last = seen.triangle
-    both, known = jnp.append(found.triangle, last), jnp.append(free & (found.triangle >= 0), free & (last >= 0))
+    both, known = jnp.append(closest, last), jnp.append(free & (closest >= 0), free & (last >= 0))
     nearest, front = jnp.split(closest_place(jnp.tile(points, 2), mold, jnp.maximum(both, 0), known), 2, axis=1)
-    turned = beyond & _is_behind(nearest - places, found.triangle, seen, mold)
-    chosen = jnp.where(turned, jnp.maximum(last, 0), found.triangle)
+    turned = beyond & _is_behind(nearest - places, closest, seen, mold)
+    chosen = jnp.where(turned, jnp.maximum(last, 0), closest)
     triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
     point = jnp.where(turned, front, nearest)
     velocities = jnp.where(lands, 0.0, births.block_of(nodes.velocities))

@@ -52,16 +52,6 @@ class _Scope:
     curved: int = 0
 
 
-@dataclass
-class _Model:
-    """All that was read; of each instance the name of its part, its own nodes and faces, and what moves it."""
-
-    top: _Scope = field(default_factory=_Scope)
-    assembly: _Scope = field(default_factory=_Scope)
-    parts: dict[str, _Scope] = field(default_factory=dict)
-    instances: list[tuple[str, _Scope, list[list[float]]]] = field(default_factory=list)
-
-
 def read_inp(content: bytes, name: str) -> Faces:
     """The surface elements of an input file; of those with nodes on their sides the corners, with a warning.
 
@@ -69,8 +59,7 @@ def read_inp(content: bytes, name: str) -> Faces:
         InputError: Nodes or elements are generated or in other files or coordinates, some node is missing, or there
             are no surface elements.
     """
-    model = _model(content)
-    scopes = [model.top, model.assembly, *_assemble_instances(model)]
+    scopes = _scopes(content)
     if curved := sum(scope.curved for scope in scopes):
         warn_of(f"has {curved} elements with mid-side nodes, of which only the corners are used", value=name)
     points: list[tuple[float, float, float]] = []
@@ -118,20 +107,23 @@ def _split(line: str) -> tuple[str, dict[str, str]]:
     return " ".join(word.split()).upper(), named
 
 
-def _model(content: bytes) -> _Model:
-    model = _Model()
-    scope = model.top
+def _scopes(content: bytes) -> list[_Scope]:
+    """What is outside of parts, the assembly's own, and its instances; parts as they are without any instance."""
+    top, assembly = _Scope(), _Scope()
+    scope = top
+    parts: dict[str, _Scope] = {}
+    instances: list[tuple[str, _Scope, list[list[float]]]] = []  # name of the part, its additions, what moves it
     for word, options, data in _keywords(content):
         _check_plain(word, options)
         if word == "PART":
-            scope = model.parts.setdefault(options.get("NAME", "").upper(), _Scope())
+            scope = parts.setdefault(options.get("NAME", "").upper(), _Scope())
         elif word == "INSTANCE":
             scope = _Scope()
-            model.instances.append((options.get("PART", "").upper(), scope, [_numbers(row) for row in data]))
+            instances.append((options.get("PART", "").upper(), scope, [_numbers(row) for row in data]))
         elif word in ("ASSEMBLY", "END INSTANCE"):
-            scope = model.assembly
+            scope = assembly
         elif word in ("END PART", "END ASSEMBLY"):
-            scope = model.top
+            scope = top
         elif word == "NODE":
             for row in data:
                 label, *place = _numbers(row)
@@ -139,7 +131,8 @@ def _model(content: bytes) -> _Model:
                 scope.nodes[int(label)] = x, y, z
         elif word == "ELEMENT":
             _add_elements(scope, options.get("TYPE", "").upper(), data)
-    return model
+    placed = [_place_instance(parts, *instance) for instance in instances]
+    return [top, assembly, *(placed or parts.values())]
 
 
 def _check_plain(word: str, options: dict[str, str]) -> None:
@@ -182,23 +175,13 @@ def _add_elements(scope: _Scope, kind: str, data: list[list[str]]) -> None:
         raise InputError(f"has an element {row[0]} of type {kind} with {len(row) - 1} nodes", "export it again")
 
 
-def _assemble_instances(model: _Model) -> list[_Scope]:
-    """The instances where the assembly has them; parts as they are where there is no instance at all."""
-    if not model.instances:
-        return list(model.parts.values())
-    scopes = []
-    for name, content, numbers in model.instances:
-        part = model.parts.get(name)
-        if part is None and not content.nodes:
-            raise InputError(f"has an instance of part {name!r}, which does not exist", "export it again")
-        part = part or _Scope()
-        scope = _Scope(part.nodes | content.nodes, part.faces + content.faces, part.solid, part.curved)
-        scopes.append(_transform(scope, name, numbers))
-    return scopes
-
-
-def _transform(scope: _Scope, name: str, numbers: list[list[float]]) -> _Scope:
-    """A scope with its nodes translated, then turned about an axis, as the numbers of an instance of a part say."""
+def _place_instance(parts: dict[str, _Scope], name: str, own: _Scope, numbers: list[list[float]]) -> _Scope:
+    """A part with what its instance adds, its nodes translated, then turned about an axis, as the numbers say."""
+    part = parts.get(name)
+    if part is None and not own.nodes:
+        raise InputError(f"has an instance of part {name!r}, which does not exist", "export it again")
+    part = part or _Scope()
+    scope = _Scope(part.nodes | own.nodes, part.faces + own.faces, part.solid, part.curved)
     if not numbers or not scope.nodes:
         return scope
     places = np.array(list(scope.nodes.values()))
