@@ -83,7 +83,12 @@ def _parser() -> argparse.ArgumentParser:
     for name, command, what, words in (
         ("simulate", _simulate, "SCENE", "simulate a scene"),
         ("optimize", _optimize, "STUDY", "search for the best design of a study"),
-        ("check", _check, "SCENE", "validate a scene or study, say what will be simulated, run no step"),
+        (
+            "check",
+            _check,
+            "SCENE",
+            "validate a scene or study and print what will be simulated, without running a step",
+        ),
     ):
         sub = commands.add_parser(name, help=words, description=words)
         sub.add_argument("source", metavar=what, help="a built-in name or a .toml file")

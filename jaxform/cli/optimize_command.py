@@ -135,7 +135,7 @@ def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
     )
     if facts["multiplier"] is not None:
         # The violations are reported with the status.
-        kept = "broken" if design.broken else f"kept to {100 * facts['violation']:.2g} %"
+        kept = "violated" if design.broken else f"satisfied to {100 * facts['violation']:.2g} %"
         say(
             f"limits are {kept}; multiplier {facts['multiplier']:.3g}: improvement of the objective per relative "
             "change of the limit"

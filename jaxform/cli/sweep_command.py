@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--workers", metavar="N", type=_count, help=words)
     words = "address of a Dask scheduler, such as tcp://host:8786; needs jaxform[cluster]"
     where.add_argument("--scheduler", metavar="ADDRESS", help=words)
-    words = "go on with the sweep in DIR: no recorded row is computed again"
+    words = "resume the sweep in DIR; recorded rows are not computed again"
     parser.add_argument("--resume", action="store_true", help=words)
     words = "search for the best design of each row, by variables, objective and solver of the study"
     parser.add_argument("--optimize", action="store_true", help=words)
@@ -62,7 +62,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.out
     there = os.path.exists(folder / records.NAME)
     if arguments.resume and not there:
-        warn_of("has no sweep to go on with: it begins anew", key="--resume", value=str(folder))
+        warn_of("contains no sweep to resume: a new one is started", key="--resume", value=str(folder))
     session.open_folder(folder, arguments.force or (arguments.resume and there))
     (folder / DESIGNS).mkdir(exist_ok=True)
     kept = records.Records(folder, task.paths, task.measures, arguments.resume)
@@ -72,7 +72,7 @@ def sweep(arguments: argparse.Namespace) -> int:
                 found, task.function, lambda design: task.argument(design, setting), executor, kept, show
             )
         except KeyboardInterrupt:
-            words = f"interrupted; {len(kept.rows)} rows are recorded: go on with --resume"
+            words = f"interrupted; {len(kept.rows)} rows are recorded: resume with --resume"
             print(f"jaxform: {words}", file=sys.stderr, flush=True)
             return session.INTERRUPTED
     rows = kept.finish((design.digest, head(design)) for design in found)

@@ -134,8 +134,8 @@ def _corners(polygon: NDArray[np.float64]) -> list[str]:
 def _material() -> list[str]:
     return [
         "",
-        "# A placeholder, some hot thermoplastic: give the law and numbers of your material. In a slow process the",
-        "# wall depends on alpha, hardly on c.",
+        "# A placeholder, some hot thermoplastic: give the model and parameters of your material. In a slow process",
+        "# the wall depends on alpha, hardly on c.",
         "[material]",
         'model = "mooney-rivlin"',
         f"c = {_number(STIFFNESS)}",
@@ -151,7 +151,7 @@ def _pressure(made: Draft) -> list[str]:
     return [
         "",
         *_filling_comments(made),
-        "# It rises so slowly that inertia hardly shows, and pushes towards +z, into the mold.",
+        "# It rises so slowly that inertia has almost no effect, and pushes towards +z, into the mold.",
         "[pressure]",
         f"time = [{', '.join(map(_number, knots))}]",
         f"value = [{', '.join(map(_number, values))}]",
@@ -167,14 +167,14 @@ def _filling_comments(made: Draft) -> list[str]:
         return [
             f"# Not enough to blow the sheet into {slits_text(made.slit)}: change it in proportion to c and thickness.",
         ]
-    return ["# Enough to fill corners down to an element: change it in proportion to c and thickness."]
+    return ["# Enough to fill corners down to one element: change it in proportion to c and thickness."]
 
 
 def vacuum_text(made: Draft) -> str:
     """Description of the corners that a vacuum fills."""
     radius, bar = 1e3 * made.corner(made.pressure), 1e-5 * made.pressure
     fills = f"a vacuum of {bar:.2g} bar fills corners down to a radius of about {radius:.2g} mm"
-    return f"{fills}; down to an element takes {1e-5 * made.filling:.2g} bar"
+    return f"{fills}; down to one element needs {1e-5 * made.filling:.2g} bar"
 
 
 def _mold(made: Draft, names: Sequence[str]) -> list[str]:
@@ -185,17 +185,17 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
         ]
     if made.drape is not None and made.covers.mesh is not None:
         holes = f" and closes {covers_text(made)}" if made.covers.holes else ""
-        lines += [f"# {PLATEN} is the platen on which the buck stands, with vacuum at its surface{holes}."]
+        lines += [f"# {PLATEN} is the platen below the male mold, with vacuum at its surface{holes}."]
     elif made.covers.mesh is not None:
         lines += [
             f"# {COVERS} closes the holes through which the sheet would be blown ({covers_text(made)}).",
-            "# Leave it out if it should be.",
+            "# Remove it if a hole is intended.",
         ]
     path = inline(files if len(files) > 1 else files[0])
     box = " x ".join(_number(side, 4) for side in made.size)
     return [
         "",
-        f"# The file's box is {box}: taken for {made.units.name}. {_pose(made)}",
+        f"# The file's bounding box is {box}: assumed to be in {made.units.name}. {_pose(made)}",
         *lines,
         "[mold]",
         'shape = "file"',
@@ -210,7 +210,7 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
 def _pose(made: Draft) -> str:
     if made.drape is None:
         return "Turned and moved so that the opening is in z = 0."
-    return "Turned and moved so that the top of the buck is behind z = 0."
+    return "Turned and moved so that the top of the mold is behind z = 0."
 
 
 def _motion(made: Draft) -> list[str]:
@@ -219,7 +219,7 @@ def _motion(made: Draft) -> list[str]:
         return []
     return [
         "",
-        "# Buck and platen move into the sheet until the platen is at the frame. Then the pressure rises.",
+        "# Mold and platen move into the sheet until the platen is at the frame. Then the pressure rises.",
         "[mold.motion]",
         "direction = [0.0, 0.0, -1.0]",
         f"time = [0.0, {_number(made.stroke_time)}]",
@@ -244,7 +244,7 @@ def covers_text(made: Draft) -> str:
     holes, gaps = made.covers.holes, made.covers.gaps
     some = [f"{holes} hole{'s' if holes > 1 else ''}{_wall_holes_text(made)}"] if holes else []
     if gaps:
-        some.append(f"{_number(1e3 * gaps, 3)} mm of the sheet's edge with no rim under it")
+        some.append(f"{_number(1e3 * gaps, 3)} mm of the sheet's edge without a rim below")
     return " and ".join(some)
 
 
@@ -267,7 +267,10 @@ def _part(made: Draft, names: Sequence[str]) -> list[str]:
     files = [*names, *([] if made.rest is None else [IMAGES])]
     return [
         "",
-        f"# What is not on {on}{' or the covers' if covered else ''}: of it are the statistics and the objective.",
+        (
+            f"# What is not on {on}{' or the covers' if covered else ''}: the part to which statistics and the "
+            "objective refer."
+        ),
         "[part]",
         f'trim = {{ axis = "z", at = {_number(at, 4)}, keep = "{side}" }}',
         *([f"molds = {inline(files)}"] if covered else []),
@@ -279,7 +282,7 @@ def _refinement(made: Draft) -> list[str]:
         return []
     return [
         "",
-        "# Some pockets are small beside the sheet: elements near the mold's edges are halved before they touch.",
+        "# Some pockets are small compared to the sheet: elements near the mold's edges are bisected before contact.",
         "[refinement]",
         f"max_level = {made.levels}",
         f"base_level = {made.levels}",
@@ -292,7 +295,7 @@ def _solver(made: Draft) -> list[str]:
         "[solver]",
         f"end_time = {_number(made.stroke_time + 1.2 * made.ramp, 3)}",
         f"damping = {_number(made.damping)}",
-        "quasi_static = true  # the run says so if inertia or damping shows in the wall",
+        "quasi_static = true  # warn if inertia or damping affects the wall",
     ]
 
 
@@ -305,7 +308,7 @@ def study_text(made: Draft) -> str:
     low, high = 0.5 * made.thickness, 2.5 * made.thickness
     return "\n".join(
         [
-            "# Written by `jaxform new`: how thick the sheet has to be where, for a wall that is as even as it can be.",
+            "# Written by `jaxform new`: the thickness of the sheet for the most even wall.",
             'scene = "scene.toml"',
             "",
             "[[variable]]",

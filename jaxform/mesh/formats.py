@@ -61,7 +61,7 @@ def read_faces(path: Path, further: bool = False) -> Faces:
 
 
 def _unknown_format_error(ending: str, readers: Collection[str], value: str) -> InputError:
-    problem, remedy = "is of no known mesh format", f"use one of {', '.join(readers)}"
+    problem, remedy = "is not a known mesh format", f"use one of {', '.join(readers)}"
     if ending in _GEOMETRY:
         problem += ": the native geometry of a CAD program, which has no triangles"
         remedy = f"export the part as STL from the CAD program, or {remedy}"

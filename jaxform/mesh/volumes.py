@@ -57,7 +57,7 @@ def add_fold_volume(mesh: Mesh, thickness: Array, file: str = "") -> Array:
     worst = float(folds.max())
     if worst > _WORTH_TELLING:
         problem = f"the sheet has wrinkled, up to {100 * worst:.3g} % of an element lies in folds"
-        remedy = "the wall there is as thick as its folds together, which keeps the volume, but is one flat layer"
+        remedy = "the exported thickness is that of the stacked folds, which keeps the volume, but in one flat layer"
         warn_of(problem, remedy, key="wrinkled", file=file)
     return thickness / (1.0 - np.clip(folds, 0.0, _MOST_FOLDED))
 

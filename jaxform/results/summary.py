@@ -71,7 +71,7 @@ def explain(result: Result) -> Any:
         InputError: If it is not a result, or is traced.
     """
     if not isinstance(result, Result):
-        raise InputError("is not a result", "give what `simulate`, `run` or `simulate_batch` returns", "result", result)
+        raise InputError("is not a result", "give a result of `simulate`, `run` or `simulate_batch`", "result", result)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(result)):
         raise InputError(
             "is traced, so its values are not known yet", "call `explain` outside the traced function", "result"

@@ -132,4 +132,4 @@ def unpack(archive: bytes, folder: Path) -> None:
         fresh.rename(folder)
     except OSError as error:
         shutil.rmtree(fresh, ignore_errors=True)
-        raise write_error(folder, error, "make room, then go on with --resume") from None
+        raise write_error(folder, error, "free disk space, then resume with --resume") from None

@@ -31,7 +31,7 @@ MEASURES = {
 }
 """Columns of what a simulation gives, and their units; `seconds` is the wall-clock time of a design on its worker."""
 _FIRST, _STATUS, _LAST = "design", "status", ("folder", "digest")
-_GO_ON = "make room, then go on with --resume"
+_GO_ON = "free disk space, then resume with --resume"
 Row = dict[str, str]
 
 

@@ -524,7 +524,7 @@ def test_meshes_of_other_programs_are_taken(tmp_path: Path, ending: str, form: s
     found = mapping.read_target(path, 1e-3)
     np.testing.assert_allclose(found.positions, mesh.positions, atol=1e-7)
     np.testing.assert_array_equal(found.triangles, mesh.triangles)
-    with pytest.raises(InputError, match="no known mesh format"):
+    with pytest.raises(InputError, match="not a known mesh format"):
         meshes.read_mesh(path)
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(InputError, match="--onto"):

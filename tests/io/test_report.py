@@ -474,7 +474,7 @@ def test_a_browser_draws_it_and_a_click_tells_the_wall(page: browser.Browser, fo
         assert share.min() > -1e-3
         np.testing.assert_allclose(share @ corners, place, atol=2e-5)
         words = page.value("document.getElementById('reading').innerText")
-        assert f"{1e3 * wanted.cell_fields['thickness'][element]:.4g} mm" in words and "touched" in words
+        assert f"{1e3 * wanted.cell_fields['thickness'][element]:.4g} mm" in words and "contact" in words
     assert page.complaints == [] and page.requests == [(folder / "report.html").as_uri()]
 
 

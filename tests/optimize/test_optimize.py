@@ -257,7 +257,7 @@ def test_several_starts_begin_at_the_best() -> None:
     ("changes", "words"),
     [
         ({"objective": optimize.FormingTime(scenes.cup()), "method": "least-squares"}, "least-squares.*sum of squares"),
-        ({"objective": optimize.KineticEnergy(), "method": "fixed-point"}, "fixed-point|how thick"),
+        ({"objective": optimize.KineticEnergy(), "method": "fixed-point"}, "fixed-point|target thickness"),
         ({"variables": (optimize.Scale(scenes.cup(), of="material.c", bounds=(0.5, 2.0)),), "warm_start": 2}, "sheet"),
         ({"variables": (_profile(scenes.cup()), _profile(scenes.cup()))}, "two variables"),
     ],

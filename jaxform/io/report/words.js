@@ -13,8 +13,8 @@ function wordsOf({ reading, part, beside }) {
     ["stretches", `${short(first)} × ${short(second)}`],
     ["area stretch", short(first * second)],
     ["place in the part (x, y, z)", places(reading.formed)],
-    ["it came from, in the sheet", places(reading.initial)],
-    ["touched", touchWords(reading.times)],
+    ["initial place in the sheet", places(reading.initial)],
+    ["contact", touchWords(reading.times)],
   ];
   if (beside) found.unshift(["part", part.label]);
   if (Number.isFinite(initial)) found.push(["initial thickness", `${short(MM * initial)} mm`]);
@@ -48,6 +48,6 @@ function touched(times) {
 
 function touchWords(times) {
   const known = times.filter((time) => Number.isFinite(time));
-  if (known.length < 3) return known.length ? "only some of its corners" : "not";
-  return Math.max(...times) > 0 ? `at ${short(Math.max(...times))} s` : "held from the start";
+  if (known.length < 3) return known.length ? "some of its corners" : "none";
+  return Math.max(...times) > 0 ? `at ${short(Math.max(...times))} s` : "from the start";
 }
