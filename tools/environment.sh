@@ -86,7 +86,7 @@ make_libraries() {
     # it first is.
     install --no-compile --require-hashes --only-binary :all: -r requirements.lock ||
         stop "requirements.lock could not be installed (the lines above say why)"
-    for package in jax jaxlib numpy scipy matplotlib meshio pydantic rich opt_einsum optax PIL flatbuffers; do
+    for package in jax jaxlib numpy scipy matplotlib meshio pydantic rich opt_einsum optax PIL; do
         precompile .venv/lib/python*/site-packages/"$package"
     done
     libraries_now >"$libraries_note"
