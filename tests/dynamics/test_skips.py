@@ -188,47 +188,6 @@ def test_the_first_step_is_not_cold() -> None:
     assert 0.85 < float(bound) / window_budget.first_step(plain) <= 1.0
 
 
-def _weigh(
-    scene: jaxform.Scene, values: dict[str, jax.Array], vertices: jax.Array, adjoint: jaxform.Adjoint
-) -> jax.Array:
-    """All of a result that carries a derivative, weighted without a pattern."""
-    assert scene.mold is not None
-    changed = jaxform.replace(scene, values)
-    changed = dataclasses.replace(changed, mold=dataclasses.replace(scene.mold, vertices=vertices))
-    result = jaxform.simulate(changed, adjoint=adjoint)
-    ways = noise_vector(result.positions.T).T
-    energies = sum(jax.tree.leaves(result.energy))
-    landed = jnp.mean(jnp.where(result.contact_time > 0.0, result.contact_time, 0.0))
-    wall = jnp.mean((1.0 + ways[:, 0]) * jnp.square(result.thickness / 0.005))
-    return wall + jnp.mean(ways * (result.positions + result.velocities)) + 0.3 * energies + 0.01 * landed
-
-
-def test_the_reverse_derivative_written_by_hand_is_the_one_that_jax_finds() -> None:
-    """With every step kept it is JAX's; of everything that a design may change, and of the mold."""
-    # Without the search for the highest mode there is half as much to compile, and nothing less to differentiate.
-    scene = dataclasses.replace(disable_skips(scenes.cup(), sharp_step=False), material=scenes.mooney(0.1))
-    assert scene.mold is not None and scene.solver.damping is not None
-    leaves = {
-        "parison.thickness": scene.parison.thickness,
-        "pressure.time": scene.pressure.time,
-        "pressure.value": jnp.asarray([0.001, 0.2]),
-        "solver.damping": scene.solver.damping,
-        "material.c": scenes.real(1.0),
-        "material.alpha": scenes.real(0.1),
-        "material.density": scene.material.density,
-    }
-    slopes = [
-        jax.jit(jax.value_and_grad(functools.partial(_weigh, scene, adjoint=adjoint), argnums=(0, 1)))
-        for adjoint in (jaxform.Stored(), jaxform.Reversed())
-    ]
-    # Steps with so much damping that they cannot be taken back are worked out once more.
-    for damping in (scene.solver.damping, 10.0 * scene.solver.damping):
-        found = [slope(leaves | {"solver.damping": damping}, scene.mold.vertices) for slope in slopes]
-        for expected, got in zip(*(jax.tree.leaves(each) for each in found), strict=True):
-            assert np.abs(expected).max() > 1e-6
-            np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
-
-
 def test_the_slope_of_a_batch_is_that_of_its_designs_whatever_is_stored() -> None:
     scene = disable_skips(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
 
@@ -245,23 +204,6 @@ def test_the_slope_of_a_batch_is_that_of_its_designs_whatever_is_stored() -> Non
     single = [alone(row, scene.pressure.value) for row in rows]
     np.testing.assert_allclose(slope, [row for row, _ in single], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(pressing, sum(p for _, p in single), rtol=1e-9, atol=1e-12)
-
-
-def test_what_is_stored_does_not_change_the_gradient() -> None:
-    # Without the search for the highest mode there is half as much to compile, and nothing less to store.
-    scene = disable_skips(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
-
-    def wall(thickness: jax.Array, adjoint: jaxform.Adjoint) -> jax.Array:
-        result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}), adjoint=adjoint)
-        return jnp.mean(jnp.square(result.thickness))
-
-    usual, *others = (
-        jax.jit(jax.value_and_grad(lambda h, way=way: wall(h, way)))(scene.parison.thickness)
-        for way in (jaxform.Reversed(), jaxform.Stored(), jaxform.Reversed(windows=3), jaxform.Checkpointed())
-    )
-    for other in others:
-        np.testing.assert_allclose(other[0], usual[0], rtol=1e-12)
-        np.testing.assert_allclose(other[1], usual[1], rtol=1e-9, atol=1e-12)
 
 
 def test_a_batch_gives_the_results_of_single_runs() -> None:

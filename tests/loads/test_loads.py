@@ -16,7 +16,6 @@ from jaxform.core.errors import InputError
 from jaxform.dynamics.timestep import choose_step
 from jaxform.mechanics import membrane
 from jaxform.mesh import volumes
-from jaxform.model.replacement import number_at
 from jaxform.results.result import Result
 from jaxform.sheet.active_set import active_set_of
 from tests import scenes
@@ -110,60 +109,25 @@ def test_a_gas_forms_a_cup_and_its_work_is_kept_account_of(cup: jaxform.Scene) -
     result = jaxform.run(cup)
     assert int(result.status) == 0 and np.mean(np.asarray(result.contact_time) > 0) > 0.3
     assert float(result.energy.balance_error) < 2e-3
-    np.testing.assert_allclose(jaxform.simulate(cup).positions, result.positions, rtol=0, atol=1e-9)
 
 
-def test_gradients_by_a_loadings_numbers(cup: jaxform.Scene) -> None:
-    schedule = jaxform.run(cup).schedule
-
-    def figure(values: dict[str, jax.Array]) -> jax.Array:
-        result = jaxform.simulate(jaxform.replace(cup, values), schedule=schedule)
-        return jnp.mean(jnp.square(100.0 * result.thickness)) + jnp.mean(jnp.square(result.positions))
-
-    weights = 1.0 + np.arange(cup.parison.thickness.size) / cup.parison.thickness.size
-    ways = {"pressure.content": 1.0, "pressure.dead_volume": 1.0, "parison.thickness": 0.01 * weights}
-    at = {"parison.thickness": cup.parison.thickness}
-    at |= {path: getattr(cup.pressure, path.partition(".")[2]) for path in ways if path.startswith("pressure")}
-    whole = jax.jit(jax.value_and_grad(figure))
-    slopes = whole(at)[1]
-    for path, way in ways.items():
-        step = 1e-6
-        both = [float(whole(at | {path: at[path] + sign * step * way})[0]) for sign in (1, -1)]
-        along = float(jnp.sum(slopes[path] * way))
-        assert abs(along) > 1e-5
-        np.testing.assert_allclose(along, (both[0] - both[1]) / (2 * step), rtol=1e-6)
-
-
-def test_a_gas_keeps_account_of_its_temperature_and_has_gradients() -> None:
+def test_a_gas_keeps_account_of_its_temperature() -> None:
     """Its internal energy changes by what flows in and by what work it does, outside and on the sheet."""
     gas = WarmGas(*map(real, (DEAD, 1.0, 0.02, 16.0, 1.5, 1.0, 2.5, DEAD, 1.0)))
     scene = scenes.loaded_scene(gas)
-    recorded = jaxform.run(scene)
-
-    def figure(values: dict[str, jax.Array]) -> tuple[jax.Array, Result]:
-        result = jaxform.simulate(jaxform.replace(scene, values), schedule=recorded.schedule)
-        return jnp.mean(jnp.square(result.positions)) + result.loading.temperature, result
+    result = jaxform.run(scene)
 
     def lifted(positions: jax.Array) -> float:
         place = np.asarray(positions) + 0.0
         return volumes.enclosed_volume(place, np.asarray(scene.parison.triangles))
 
-    at = {"pressure.inflow_temperature": gas.inflow_temperature, "pressure.capacity": gas.capacity}
-    at["material.c"] = number_at(scene, "material.c")
-    whole = jax.jit(jax.value_and_grad(figure, has_aux=True))
-    (_, result), slopes = whole(at)
-    assert int(recorded.status) == int(result.status) == 0 and np.mean(np.asarray(result.contact_time) > 0) > 0.3
+    assert int(result.status) == 0 and np.mean(np.asarray(result.contact_time) > 0) > 0.3
     assert float(result.energy.balance_error) < 2e-3
     more = 0.02 * min(16.0, float(result.time))
     work = float(result.energy.external_work) + lifted(result.positions)
     held = float(result.loading.mass * result.loading.temperature) * 2.5
     np.testing.assert_allclose(result.loading.mass, DEAD + more, rtol=1e-12)
     np.testing.assert_allclose(held, 2.5 * DEAD + more * 3.5 * 1.5 - work, rtol=1e-5)
-    np.testing.assert_allclose(recorded.loading.temperature, result.loading.temperature, rtol=1e-10)
-    for path, slope in slopes.items():
-        both = [float(whole(at | {path: at[path] + step})[0][0]) for step in (1e-6, -1e-6)]
-        assert abs(float(slope)) > 1e-5
-        np.testing.assert_allclose(slope, (both[0] - both[1]) / 2e-6, rtol=1e-6)
 
 
 def test_what_is_no_loading_is_refused_in_words() -> None:

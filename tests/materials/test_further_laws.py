@@ -241,27 +241,6 @@ def test_a_sphere_is_blown_up_to_its_limit_and_a_shot_beyond_it_is_told() -> Non
     assert np.all(np.isfinite(shot.positions)) and jaxform.explain(shot) != "ok"
 
 
-def test_gradients_by_every_number_through_contact() -> None:
-    """One list of Ogden's numbers varies over the sheet, the other does not."""
-    plain = scenes.cup()
-    radius = np.linalg.norm(np.asarray(plain.parison.positions), axis=1)
-    terms = jnp.asarray(np.stack([1.8 + 0.3 * radius, 0.05 + 0.01 * radius]))
-    law = jaxform.Ogden(terms, jnp.asarray([2.2, 5.0]), real(1.0))
-    parts: dict[str, Any] = {"parison": plain.parison, "solver": plain.solver, "mold": plain.mold}
-    scene = jaxform.build_scene(material=law, pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.3]), **parts)
-    schedule = jaxform.run(scene).schedule
-
-    @jax.jit
-    @jax.value_and_grad
-    def spread(numbers: dict[str, jax.Array]) -> jax.Array:
-        design = jaxform.replace(scene, {f"material.{name}": value for name, value in numbers.items()})
-        result = jaxform.simulate(design, schedule=schedule)
-        return jnp.sum(jnp.square(result.thickness)) * 1e4 + jnp.sum(result.energy.strain)
-
-    numbers = {"mu": law.mu, "alpha": law.alpha}
-    scenes.assert_slopes(spread, numbers)
-
-
 FILE = """
 [parison]
 shape = "disc"

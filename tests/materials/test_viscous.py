@@ -221,30 +221,6 @@ def _cup(kind: Any) -> jaxform.Scene:
     )
 
 
-def _figure(result: jaxform.Result) -> jax.Array:
-    return jnp.sum(jnp.square(result.thickness)) * 1e4 + result.energy.strain + result.energy.viscous_loss
-
-
-def test_gradients_through_contact_by_every_number() -> None:
-    """Of Christensen's modes; those of Maxwell's, with refinement, are tested with temperature."""
-    scene = _cup(jaxform.Christensen)
-    first = jaxform.run(scene)
-    assert int(first.status) == 0 and np.any(np.asarray(first.wall) != 0)
-    assert float(first.energy.balance_error) < 1e-3
-    modes = scene.material.viscous
-    assert modes is not None
-    numbers = {"material.viscous.modulus": modes.modulus, "material.viscous.time": modes.time}
-    numbers["parison.thickness"] = scene.parison.thickness
-
-    @jax.jit
-    @jax.value_and_grad
-    def objective(numbers: dict[str, jax.Array]) -> jax.Array:
-        return _figure(jaxform.simulate(jaxform.replace(scene, numbers), schedule=first.schedule))
-
-    value = scenes.assert_slopes(objective, numbers)
-    np.testing.assert_allclose(value, _figure(first), rtol=1e-6)
-
-
 def test_a_skip_changes_nothing() -> None:
     scene = _cup(jaxform.Maxwell)
     packed = jaxform.run(scene)

@@ -73,40 +73,6 @@ def test_zones_of_one_value_are_no_zones() -> None:
     np.testing.assert_allclose(other.mass, one.mass, rtol=1e-12)
 
 
-def _cup() -> jaxform.Scene:
-    """Every number of its law varies, and it is refined."""
-    plain = scenes.cup(24, 12.0)
-    places = np.asarray(plain.parison.positions)
-    radius = np.linalg.norm(places, axis=1)
-    law = jaxform.MooneyRivlin(1 + 0.5 * radius**2, 0.1 + 0.05 * places[:, 0], 1 + 0.1 * radius)  # pyright: ignore
-    return jaxform.build_scene(
-        material=law,
-        pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.3]),
-        parison=plain.parison,
-        solver=plain.solver,
-        mold=plain.mold,
-        fill=False,
-        refinement=jaxform.make_refinement(angle=12.0, interval=64, max_level=2, elements=96),
-    )
-
-
-def test_gradients_through_contact_by_every_zone() -> None:
-    scene = _cup()
-    first = jaxform.run(scene)
-    assert int(first.used.sum()) > len(scene.parison.triangles)
-    assert np.any(np.asarray(first.wall) != 0)
-
-    @jax.jit
-    @jax.value_and_grad
-    def objective(zones: dict[str, jax.Array]) -> jax.Array:
-        design = jaxform.replace(scene, {f"material.{name}": values for name, values in zones.items()})
-        result = jaxform.simulate(design, schedule=first.schedule)
-        return jnp.sum(jnp.square(result.thickness)) * 1e4 + jnp.sum(result.energy.strain) + result.mass
-
-    zones = scene.material.zones
-    scenes.assert_slopes(objective, zones)
-
-
 def test_numbers_become_zones_and_numbers_again() -> None:
     scene = scenes.cup()
     count = len(scene.parison.positions)

@@ -25,7 +25,6 @@ from tests.scenes import assert_same, cup
 pytestmark = pytest.mark.filterwarnings("ignore:nothing touched the mold", "ignore:.*hardly moved")
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
-simulate = jax.jit(jaxform.simulate)
 
 
 def dish(depth: float, elements: int, **options: Any) -> jaxform.Scene:
@@ -103,61 +102,6 @@ def test_a_jitted_function_of_padded_scenes_is_traced_once(compilations: Callabl
     assert len(traced) == 1 and compilations() == before
 
 
-def test_the_same_as_without_room() -> None:
-    scene = dish(0.05, 77)
-    padded, plain = jaxform.run(scene), simulate(scene)
-    assert int(padded.status) == int(plain.status) == 0
-    assert np.asarray(padded.steps) == np.asarray(plain.steps)
-    for name in ("positions", "thickness", "contact_time", "element_thickness", "stretches", "velocities"):
-        one, other = np.asarray(getattr(padded, name)), np.asarray(getattr(plain, name))
-        assert one.shape == other.shape
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
-    assert np.array_equal(padded.triangles, plain.triangles) and np.array_equal(padded.wall, plain.wall)
-    for name in ("strain", "external_work", "damping_loss", "contact_loss"):
-        assert float(getattr(padded.energy, name)) == pytest.approx(float(getattr(plain.energy, name)), rel=1e-9)
-
-
-def test_the_same_as_without_room_where_the_mesh_is_refined() -> None:
-    scene = refined_scene(40)
-    padded, plain = jaxform.run(scene), simulate(scene)
-    assert int(padded.status) == int(plain.status) == 0
-    assert int(padded.used.sum()) > 40
-    count = int(padded.used.sum())
-    for name in ("triangles", "level", "used"):
-        assert np.array_equal(np.asarray(getattr(padded, name))[:count], np.asarray(getattr(plain, name))[:count])
-    for name in ("positions", "thickness", "contact_time", "active", "wall"):
-        one, other = np.asarray(getattr(padded, name)), np.asarray(getattr(plain, name))
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
-
-
-def _worth(scene: jaxform.Scene) -> Callable[[jax.Array, jax.Array], jax.Array]:
-    def value(thickness: jax.Array, pressure: jax.Array) -> jax.Array:
-        changes = {"parison.thickness": thickness, "pressure.value": pressure}
-        result = jaxform.simulate(jaxform.replace(scene, changes))
-        return 1e6 * jnp.sum(jnp.square(jnp.where(result.active, result.thickness, 0.0)))
-
-    return value
-
-
-@pytest.mark.parametrize("make", [lambda: dish(0.05, 40), lambda: refined_scene(30)], ids=["uniform", "refined"])
-def test_the_same_gradient_and_none_beyond(make: Callable[[], jaxform.Scene]) -> None:
-    scene = make()
-    room = padding.pad_to_bucket(scene)
-    assert room.order is not None
-    found = []
-    for each in (scene, room.scene):
-        both = jax.jit(jax.value_and_grad(_worth(each), argnums=(0, 1)))
-        found.append(both(each.parison.thickness, each.pressure.value))
-    (value, (thickness, pressure)), (same, (wide, long)) = found
-    assert float(value) == pytest.approx(float(same), rel=1e-10)
-    inside = np.zeros(len(wide), bool)
-    inside[room.order.node] = True
-    np.testing.assert_allclose(wide[inside], thickness, rtol=1e-8, atol=1e-9 * np.abs(thickness).max())
-    assert np.all(np.asarray(wide)[~inside] == 0.0)
-    np.testing.assert_allclose(long[: len(pressure)], pressure, rtol=1e-8)
-    assert np.all(np.asarray(long)[len(pressure) :] == 0.0)
-
-
 @pytest.mark.parametrize("make", [lambda: dish(0.05, 60), lambda: refined_scene(40)], ids=["uniform", "refined"])
 def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
     """Other nodes, other triangles of the mold and other entries of lists there change no bit."""
@@ -194,17 +138,6 @@ def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
     inside = ~beyond & np.asarray(expected.active)
     assert_same(np.asarray(found.positions)[inside], np.asarray(expected.positions)[inside])
     assert np.array_equal(found.active, inside)
-
-
-def test_a_schedule_is_one_of_the_scene_itself() -> None:
-    scene = refined_scene(40)
-    first = jaxform.run(scene)
-    assert first.schedule is not None and first.schedule.split_at is not None and scene.tables.forest is not None
-    assert first.schedule.split_at.shape == scene.tables.forest.partner.shape
-    again = jaxform.simulate(scene, schedule=first.schedule)
-    np.testing.assert_allclose(again.thickness, first.thickness, rtol=1e-9, atol=1e-15)
-    plain = simulate(scene, schedule=first.schedule)
-    np.testing.assert_allclose(plain.thickness, first.thickness, rtol=1e-9, atol=1e-15)
 
 
 def test_a_mesh_as_large_as_a_rung_has_an_element_to_spare(monkeypatch: pytest.MonkeyPatch) -> None:

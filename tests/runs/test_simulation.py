@@ -82,62 +82,6 @@ def test_a_stuck_node_never_moves_again() -> None:
         np.testing.assert_array_equal(np.asarray(before.positions)[held], np.asarray(after.positions)[held])
 
 
-def _wall_error(scene: jaxform.Scene, changes: dict[str, jax.Array]) -> jax.Array:
-    result = jaxform.simulate(jaxform.replace(scene, changes))
-    return jnp.mean(jnp.square(result.thickness / 0.005 - 1.0))
-
-
-_both = jax.jit(jax.value_and_grad(_wall_error, argnums=1))
-
-
-def _values(scene: jaxform.Scene) -> dict[str, jax.Array]:
-    return {
-        "parison.thickness": scene.parison.thickness,
-        "pressure.value": jnp.asarray([0.001, 0.2]),
-        "material.c": scenes.real(1.0),
-        "material.density": scene.material.density,
-    }
-
-
-def test_gradient_equals_central_differences_through_contact() -> None:
-    """Each of the kinds of leaf along one direction; the best of a few perturbations, as kinks are rare but there."""
-    scene = scenes.cup()
-    values = _values(scene)
-    random = np.random.default_rng(8)
-    slope = _both(scene, values)[1]
-    for name, present in values.items():
-        direction = jnp.asarray(random.uniform(0.5, 1.0, present.shape)) * present
-        along = float(jnp.sum(slope[name] * direction))
-        differences = []
-        for size in (1e-4, 1e-5, 1e-6):
-            up, down = ({**values, name: present + sign * size * direction} for sign in (1, -1))
-            differences.append((float(_both(scene, up)[0]) - float(_both(scene, down)[0])) / (2 * size))
-        assert along != 0
-        assert min(abs(difference / along - 1) for difference in differences) < 1e-5, name
-
-
-def test_forward_mode_equals_reverse_mode() -> None:
-    scene = scenes.cup()
-    values = _values(scene)
-    change = jax.tree.map(lambda leaf: 0.3 * leaf, values)
-    slope = _both(scene, values)[1]
-    forward = jax.jit(lambda v, c: jax.jvp(lambda values: _wall_error(scene, values), (v,), (c,))[1])(values, change)
-    reverse = sum(float(jnp.sum(slope[name] * change[name])) for name in values)
-    np.testing.assert_allclose(float(forward), reverse, rtol=1e-9)
-
-
-def test_vmap_equals_single_runs() -> None:
-    scene = scenes.cup()
-    factors = jnp.asarray([0.8, 1.0, 1.25])
-
-    def scaled(factor: jax.Array) -> jaxform.Scene:
-        return jaxform.replace(scene, {"parison.thickness": factor * scene.parison.thickness})
-
-    together = jax.jit(jax.vmap(lambda factor: jaxform.simulate(scaled(factor)).thickness))(factors)
-    for k, factor in enumerate(factors):
-        np.testing.assert_allclose(together[k], jaxform.simulate(scaled(factor)).thickness, rtol=1e-9)
-
-
 def test_uniform_thickness_cancels_where_pressure_scales_with_it() -> None:
     scene = scenes.cup()
     double = {"parison.thickness": 2 * scene.parison.thickness, "pressure.value": 2 * scene.pressure.value}

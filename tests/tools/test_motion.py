@@ -18,7 +18,6 @@ from jaxform.core.errors import InputError
 from jaxform.io import output
 from jaxform.io.output import Frames
 from jaxform.io.report import stored_results
-from jaxform.model.replacement import number_at
 from jaxform.prepare import window_budget
 from jaxform.results.result import Result, drop_unused
 
@@ -154,29 +153,6 @@ def test_a_plug_that_lifts_a_disc_stretches_it_as_least_energy_does(formed: tupl
     assert np.sqrt(np.mean(np.square(off))) < 0.01
     lifted = np.asarray(result.positions)[~held & (radius < inner)]
     assert len(lifted) == 0
-
-
-def test_the_same_by_every_loop_with_gradients(formed: tuple[jaxform.Scene, Result]) -> None:
-    scene, first = formed
-    assert scene.motion is not None and not scene.reversible
-
-    def figure(values: dict[str, jax.Array]) -> tuple[jax.Array, Result]:
-        result = jaxform.simulate(jaxform.replace(scene, values), schedule=first.schedule)
-        wall = jnp.mean(jnp.square(1e3 * result.thickness)) + jnp.mean(jnp.square(10.0 * result.positions))
-        return wall + result.energy.tool_work + 10.0 * result.energy.damping_loss, result
-
-    at = {"mold.motion.displacement": scene.motion.displacement, "mold.motion.time": scene.motion.time}
-    at |= {"parison.thickness": scene.parison.thickness, "material.c": number_at(scene, "material.c")}
-    whole = jax.jit(jax.value_and_grad(figure, has_aux=True))
-    (_, result), slopes = whole(at)
-    np.testing.assert_allclose(result.positions, first.positions, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(result.energy.tool_work, first.energy.tool_work, rtol=1e-9)
-    for path, values in at.items():
-        way = jnp.abs(values) * jnp.cos(jnp.arange(values.size)).reshape(values.shape)
-        both = [float(whole(at | {path: values + step * way})[0][0]) for step in (1e-6, -1e-6)]
-        along = float(jnp.vdot(slopes[path], way))
-        assert abs(along) > 1e-4
-        np.testing.assert_allclose(along, (both[0] - both[1]) / 2e-6, rtol=1e-6)
 
 
 def test_a_refined_sheet_on_a_plug(tmp_path: Path) -> None:

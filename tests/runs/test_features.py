@@ -1,0 +1,239 @@
+"""What every feature keeps: run, simulation and replay are one, energy balances, gradients equal central differences.
+
+A few scenes that have all features between them. Of each, the programs of `run` and one more, which gives the part,
+a figure of everything in it, and the figure's gradient.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import molds, shapes
+from jaxform.model.replacement import number_at
+from jaxform.results import summary
+from jaxform.runs import padding
+from jaxform.sheet.state import noise_vector
+from tests import scenes
+from tests.examples.cooling import Cooling
+from tests.examples.warm_gas import WarmGas
+from tests.examples.yeoh import Yeoh
+from tests.scenes import real
+
+PLAIN = "parison.thickness", "pressure.time", "pressure.value", "solver.damping"
+
+
+def _cup(elements: int = 24, **parts: Any) -> jaxform.Scene:
+    """A quarter of a disc that is blown onto the bottom of a truncated cone."""
+    plain = scenes.cup(elements, 12.0)
+    usual = {"parison": plain.parison, "solver": plain.solver, "mold": plain.mold, "material": scenes.mooney(0.1)}
+    usual["pressure"] = jaxform.make_pressure([0.0, 16.0], [0.001, 0.3])
+    return jaxform.build_scene(fill=False, **(usual | parts))  # pyright: ignore[reportArgumentType]
+
+
+def _radius() -> np.ndarray:
+    return np.linalg.norm(np.asarray(scenes.cup(24, 12.0).parison.positions), axis=1)
+
+
+def _refined() -> jaxform.Scene:
+    """Ogden's law, one list of whose numbers and whose density vary over the sheet; refined where it bends."""
+    terms = jnp.asarray(np.stack([1.8 + 0.3 * _radius(), 0.05 + 0.01 * _radius()]))
+    law = jaxform.Ogden(terms, jnp.asarray([2.2, 5.0]), jnp.asarray(1.0 + 0.1 * _radius()))
+    return _cup(material=law, refinement=jaxform.make_refinement(angle=8.0, interval=64, max_level=2, elements=96))
+
+
+def _cooled() -> jaxform.Scene:
+    """A sheet that cools by a fifth of its warmth while it is formed, and stiffens; refined as well."""
+    plain = scenes.cup(24, 6.0)
+    shift = jaxform.ArrheniusStiffness(real(140.0), real(40e3))
+    modes = jaxform.Maxwell(jnp.asarray([1.0]), jnp.asarray([2.0]))
+    cooling: dict[str, Any] = {"heat_capacity": 1.0, "air": 1e-4, "air_temperature": 20.0, "mold": 1e-3}
+    cooling |= {"mold_temperature": 30.0, "conductivity": 1e-5}
+    places = np.asarray(plain.parison.positions)
+    return _cup(
+        parison=dataclasses.replace(plain.parison, temperature=jnp.asarray(135.0 + 10.0 * places[:, 0])),
+        material=jaxform.NeoHookean(real(1.0), real(1.0), viscous=modes, shift=shift),
+        pressure=jaxform.make_pressure([0.0, 16.0], [0.001, 0.8]),
+        solver=dataclasses.replace(plain.solver, safety=real(0.7)),
+        refinement=jaxform.make_refinement(angle=12.0, interval=64, max_level=2, elements=96),
+        cooling=jaxform.Cooling(**{name: real(value) for name, value in cooling.items()}),
+    )
+
+
+def _plugged() -> jaxform.Scene:
+    """A sheet with Christensen's modes over a plug that rises into it."""
+    shape = molds.revolved(profile=[[0.0, -0.02], [0.42, -0.02], [0.47, -0.6]], segments=48)
+    motion = jaxform.make_motion([0.0, 0.0, 1.0], [0.0, 8.0], [0.0, 0.5])
+    modes = jaxform.Christensen(jnp.asarray([1.0, 0.5]), jnp.asarray([2.0, 20.0]))
+    return _cup(
+        mold=jaxform.make_mold(shape.vertices, shape.triangles, motion=motion),
+        material=jaxform.NeoHookean(real(1.0), real(1.0), viscous=modes),
+        pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.02]),
+    )
+
+
+def _wrinkled() -> jaxform.Scene:
+    """An eighth of two discs that are joined along their rims; a plate stops the balloon whose rim has wrinkled."""
+    sheet = shapes.disc(radius=1.0, elements=60, symmetry="quarter")
+    fixed, free = np.array(sheet.fixed), np.zeros(len(sheet.positions), bool)
+    fixed[np.asarray(sheet.clamped), 2] = True
+    plate = np.asarray([[-2.0, -2.0, 0.3], [2.0, -2.0, 0.3], [2.0, 2.0, 0.3], [-2.0, 2.0, 0.3]])
+    return _cup(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, free, fixed),
+        material=jaxform.MooneyRivlin(real(1.0), real(0.1), real(1.0), tension_field=True),
+        pressure=jaxform.make_pressure([0.0, 1.0], [0.0, 2e-4]),
+        solver=jaxform.make_solver(end_time=10.0, damping=0.3),
+        mold=jaxform.make_mold(plate, np.asarray([[0, 1, 2], [0, 2, 3]])),
+    )
+
+
+def _added() -> jaxform.Scene:
+    """All that a user may add: a law, a gas with a temperature of its own, and a field."""
+    field = Cooling(jnp.asarray(150.0 + 30.0 * _radius()), *map(real, (0.02, 0.3, 20.0, 10.0)))
+    gas = WarmGas(*map(real, (0.1, 1.0, 0.04, 16.0, 1.5, 1.0, 2.5, 0.1, 1.0)))
+    return _cup(
+        material=Yeoh(real(1.0), real(0.1), real(0.002), real(1.0)), pressure=gas, fields={"temperature": field}
+    )
+
+
+COOLED = [f"cooling.{part.name}" for part in dataclasses.fields(jaxform.Cooling)]
+COOLED += ["material.shift.activation_energy", "material.shift.reference"]
+COOLED += ["parison.temperature", "parison.thickness"]
+MODES = ["material.viscous.modulus", "material.viscous.time"]
+GAS = ["pressure.inflow_temperature", "pressure.capacity", "pressure.dead_volume", "pressure.inflow"]
+YEOH = ["material.c1", "material.c2", "material.c3", "material.density"]
+MAKE: dict[str, tuple[Callable[[], jaxform.Scene], list[str]]] = {
+    "plain": (_cup, [*PLAIN, "material.c", "material.alpha", "material.density"]),
+    "refined": (_refined, [*PLAIN[:3], "material.mu", "material.alpha", "material.density"]),
+    "cooled": (_cooled, [*COOLED, *MODES]),
+    "plugged": (_plugged, ["mold.motion.displacement", "mold.motion.time", "parison.thickness", "material.c", *MODES]),
+    "wrinkled": (_wrinkled, ["material.c", "parison.thickness", "pressure.value"]),
+    "added": (_added, [*GAS, *YEOH, "fields.temperature.initial", "fields.temperature.mold_rate", PLAIN[0]]),
+}
+
+
+def _measure(result: jaxform.Result) -> jax.Array:
+    """A figure of all that a part has and that carries a derivative, each weighted without a pattern."""
+    ways = noise_vector(result.positions.T).T
+    energies = sum((0.3 + 0.1 * k) * energy for k, energy in enumerate(jax.tree.leaves(result.energy)))
+    figure = 1e4 * jnp.sum((1.5 + ways[:, 0]) * jnp.square(result.thickness))
+    figure += jnp.mean(ways * (result.positions + result.velocities)) + energies + result.mass
+    figure += 1e-2 * jnp.mean(jnp.where(result.contact_time > 0.0, result.contact_time, 0.0))
+    for values in (result.temperature, *result.fields.values()):
+        if values is not None:
+            figure += jnp.mean(jnp.square(jnp.where(result.active, values, 0.0) / 100.0))
+    return figure + 0.1 * sum(jnp.sum(leaf) for leaf in jax.tree.leaves(result.loading))
+
+
+@jax.jit
+@functools.partial(jax.value_and_grad, has_aux=True)
+def _both(
+    numbers: dict[str, jax.Array], scene: jaxform.Scene, schedule: jaxform.Schedule
+) -> tuple[jax.Array, jaxform.Result]:
+    result = jaxform.simulate(jaxform.replace(scene, numbers), schedule=schedule)
+    return _measure(result), result
+
+
+class Case(NamedTuple):
+    """A scene with its run, and the same in room, with what may be changed of it."""
+
+    scene: jaxform.Scene
+    ran: jaxform.Result
+    room: padding.Padded
+    numbers: dict[str, jax.Array]
+
+    def simulate(self, *, replayed: bool) -> tuple[tuple[jax.Array, jaxform.Result], dict[str, jax.Array]]:
+        """Figure and part of the scene in room, and the slopes; a schedule without windows decides nothing."""
+        return _both(self.numbers, self.room.scene, self.schedule(replayed=replayed))
+
+    def schedule(self, *, replayed: bool = True) -> jaxform.Schedule:
+        assert self.ran.schedule is not None
+        schedule = self.room.schedule(self.ran.schedule)
+        if replayed:
+            return schedule
+        split = None if schedule.split_at is None else jnp.full_like(schedule.split_at, 2**30)
+        return dataclasses.replace(schedule, counts=jnp.zeros_like(schedule.counts), split_at=split)
+
+
+@pytest.fixture(scope="module", params=list(MAKE))
+def case(request: pytest.FixtureRequest) -> Case:
+    make, names = MAKE[request.param]
+    scene = make()
+    room = padding.pad_to_bucket(scene)
+    return Case(scene, jaxform.run(scene), room, {name: number_at(room.scene, name) for name in names})
+
+
+def _assert_same_part(found: jaxform.Result, expected: jaxform.Result) -> None:
+    assert int(found.status) == int(expected.status) == 0 and int(found.steps) == int(expected.steps)
+    count = int(expected.used.sum())
+    for name in ("triangles", "level", "used"):
+        np.testing.assert_array_equal(getattr(found, name)[:count], getattr(expected, name)[:count], err_msg=name)
+    for name in ("wall", "stuck", "active"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    close = functools.partial(np.testing.assert_allclose, rtol=1e-9)
+    for name in ("positions", "thickness", "velocities", "contact_time", "stretches", "temperature"):
+        one, other = getattr(found, name), getattr(expected, name)
+        if other is not None:
+            assert one.shape == other.shape
+            close(one, other, atol=1e-12 * np.abs(other).max(), err_msg=name)
+    for name in ("energy", "fields", "loading", "mass"):
+        for one, other in zip(*(jax.tree.leaves(getattr(part, name)) for part in (found, expected)), strict=True):
+            close(one, other, atol=1e-12 * np.abs(other).max(), err_msg=name)
+
+
+def test_every_feature_is_in_use(case: Case) -> None:
+    """What is asked of the others is asked of contact, refinement, cooling, wrinkles and what a user adds."""
+    scene, ran = case.scene, case.ran
+    assert np.sum(np.asarray(ran.contact_time) > 0) > 2
+    assert scene.refinement is None or int(ran.used.sum()) > len(scene.parison.triangles)
+    assert scene.cooling is None or float(jnp.ptp(jnp.asarray(ran.temperature))) > 5.0
+    assert scene.motion is None or float(ran.energy.tool_work) > 1e-3
+    assert not scene.material.tension_field or summary.wrinkle_fraction(ran).max() > 0.1
+
+
+def test_energy_balances(case: Case) -> None:
+    # New nodes that begin at rest lose their energy at half a step from where it is counted.
+    assert float(case.ran.energy.balance_error) < (1e-3 if case.scene.refinement is None else 2e-3)
+
+
+@pytest.mark.parametrize("replayed", [False, True])
+def test_run_simulation_and_replay_are_one(case: Case, replayed: bool) -> None:
+    (_, result), _ = case.simulate(replayed=replayed)
+    _assert_same_part(case.room.result(result), case.ran)
+
+
+def test_gradients_equal_central_differences_by_every_number(case: Case) -> None:
+    schedule = case.schedule()
+    scenes.assert_slopes(lambda numbers: _values(numbers, case.room.scene, schedule), case.numbers)
+
+
+def _values(numbers: Any, scene: jaxform.Scene, schedule: jaxform.Schedule) -> tuple[jax.Array, Any]:
+    (value, _), slopes = _both(numbers, scene, schedule)
+    return value, slopes
+
+
+def test_beyond_the_scene_itself_there_is_no_slope(case: Case) -> None:
+    order, (_, slopes) = case.room.order, case.simulate(replayed=True)
+    assert order is not None
+    inside = np.zeros(order.node_room, bool)
+    inside[order.node] = True
+    assert not inside.all()
+    wide = np.asarray(slopes["parison.thickness"])
+    assert np.all(wide[~inside] == 0.0) and np.any(wide[inside] != 0.0)
+    if "pressure.value" in slopes:
+        knots = case.scene.pressure.value.size  # pyright: ignore[reportAttributeAccessIssue]
+        assert np.all(np.asarray(slopes["pressure.value"])[knots:] == 0.0)
+
+
+@pytest.mark.parametrize("case", ["plain"], indirect=True)
+def test_the_same_without_room(case: Case) -> None:
+    """Where the mesh is refined: tests/adapt/test_refinement.py."""
+    _assert_same_part(case.ran, jax.jit(jaxform.simulate)(case.scene))
