@@ -62,7 +62,8 @@ def _cooled() -> jaxform.Scene:
         parison=dataclasses.replace(plain.parison, temperature=jnp.asarray(135.0 + 10.0 * places[:, 0])),
         material=jaxform.NeoHookean(real(1.0), real(1.0), viscous=modes, shift=shift),
         pressure=jaxform.make_pressure([0.0, 16.0], [0.001, 0.8]),
-        solver=dataclasses.replace(plain.solver, safety=real(0.7)),
+        # The search for the highest mode, which the others have, takes long to compile.
+        solver=dataclasses.replace(plain.solver, safety=real(0.7), sharp_step=False),
         refinement=jaxform.make_refinement(angle=12.0, interval=64, max_level=2, elements=96),
         cooling=jaxform.Cooling(**{name: real(value) for name, value in cooling.items()}),
     )
@@ -76,7 +77,7 @@ def _plugged() -> jaxform.Scene:
     return _cup(
         mold=jaxform.make_mold(shape.vertices, shape.triangles, motion=motion),
         material=jaxform.NeoHookean(real(1.0), real(1.0), viscous=modes),
-        pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.02]),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
     )
 
 
@@ -98,10 +99,8 @@ def _wrinkled() -> jaxform.Scene:
 def _added() -> jaxform.Scene:
     """All that a user may add: a law, a gas with a temperature of its own, and a field."""
     field = Cooling(jnp.asarray(150.0 + 30.0 * _radius()), *map(real, (0.02, 0.3, 20.0, 10.0)))
-    gas = WarmGas(*map(real, (0.1, 1.0, 0.04, 16.0, 1.5, 1.0, 2.5, 0.1, 1.0)))
-    return _cup(
-        material=Yeoh(real(1.0), real(0.1), real(0.002), real(1.0)), pressure=gas, fields={"temperature": field}
-    )
+    gas = WarmGas(*map(real, (0.1, 1.0, 0.03, 16.0, 1.5, 1.0, 2.5, 0.1, 1.0)))
+    return _cup(material=Yeoh(real(1.0), real(0.1), real(0.5), real(1.0)), pressure=gas, fields={"temperature": field})
 
 
 COOLED = [f"cooling.{part.name}" for part in dataclasses.fields(jaxform.Cooling)]
@@ -120,17 +119,21 @@ MAKE: dict[str, tuple[Callable[[], jaxform.Scene], list[str]]] = {
 }
 
 
+# Those that carry a derivative.
+ENERGIES = "strain", "external_work", "tool_work", "damping_loss", "contact_loss", "viscous_loss", "cooling_loss"
+
+
 def _measure(result: jaxform.Result) -> jax.Array:
     """A figure of all that a part has and that carries a derivative, each weighted without a pattern."""
     ways = noise_vector(result.positions.T).T
-    energies = sum((0.3 + 0.1 * k) * energy for k, energy in enumerate(jax.tree.leaves(result.energy)))
-    figure = 1e4 * jnp.sum((1.5 + ways[:, 0]) * jnp.square(result.thickness))
-    figure += jnp.mean(ways * (result.positions + result.velocities)) + energies + result.mass
+    energies = sum((0.3 + 0.1 * k) * getattr(result.energy, name) for k, name in enumerate(ENERGIES))
+    figure = 1e2 * jnp.sum((1.5 + ways[:, 0]) * jnp.square(result.thickness))
+    figure += jnp.mean(ways * (result.positions + result.velocities)) + 10.0 * energies + result.mass
     figure += 1e-2 * jnp.mean(jnp.where(result.contact_time > 0.0, result.contact_time, 0.0))
     for values in (result.temperature, *result.fields.values()):
         if values is not None:
             figure += jnp.mean(jnp.square(jnp.where(result.active, values, 0.0) / 100.0))
-    return figure + 0.1 * sum(jnp.sum(leaf) for leaf in jax.tree.leaves(result.loading))
+    return figure + 1e-2 * sum(jnp.sum(leaf) for leaf in jax.tree.leaves(result.loading))
 
 
 @jax.jit
@@ -143,32 +146,39 @@ def _both(
 
 
 class Case(NamedTuple):
-    """A scene with its run, and the same in room, with what may be changed of it."""
+    """A scene with its run, and the same in room or as it is, with what may be changed of it."""
 
     scene: jaxform.Scene
     ran: jaxform.Result
     room: padding.Padded
     numbers: dict[str, jax.Array]
 
-    def simulate(self, *, replayed: bool) -> tuple[tuple[jax.Array, jaxform.Result], dict[str, jax.Array]]:
+    def simulate(self, *, replayed: bool = True) -> tuple[tuple[jax.Array, jaxform.Result], dict[str, jax.Array]]:
         """Figure and part of the scene in room, and the slopes; a schedule without windows decides nothing."""
-        return _both(self.numbers, self.room.scene, self.schedule(replayed=replayed))
+        schedule = self.schedule
+        if not replayed:
+            schedule = dataclasses.replace(schedule, counts=jnp.zeros_like(schedule.counts))
+        return _both(self.numbers, self.room.scene, schedule)
 
-    def schedule(self, *, replayed: bool = True) -> jaxform.Schedule:
+    @property
+    def schedule(self) -> jaxform.Schedule:
+        """The decisions of the run, for the scene in room."""
         assert self.ran.schedule is not None
-        schedule = self.room.schedule(self.ran.schedule)
-        if replayed:
-            return schedule
-        split = None if schedule.split_at is None else jnp.full_like(schedule.split_at, 2**30)
-        return dataclasses.replace(schedule, counts=jnp.zeros_like(schedule.counts), split_at=split)
+        return self.room.schedule(self.ran.schedule)
 
 
-@pytest.fixture(scope="module", params=list(MAKE))
-def case(request: pytest.FixtureRequest) -> Case:
-    make, names = MAKE[request.param]
+@functools.cache
+def _case(name: str) -> Case:
+    make, names = MAKE[name]
     scene = make()
-    room = padding.pad_to_bucket(scene)
-    return Case(scene, jaxform.run(scene), room, {name: number_at(room.scene, name) for name in names})
+    # In room two dozen runs with refinement and cooling take minutes.
+    room = padding.Padded(scene, scene, None) if name == "cooled" else padding.pad_to_bucket(scene)
+    return Case(scene, jaxform.run(scene), room, {path: number_at(room.scene, path) for path in names})
+
+
+@pytest.fixture(params=list(MAKE))
+def case(request: pytest.FixtureRequest) -> Case:
+    return _case(request.param)
 
 
 def _assert_same_part(found: jaxform.Result, expected: jaxform.Result) -> None:
@@ -201,17 +211,24 @@ def test_every_feature_is_in_use(case: Case) -> None:
 
 def test_energy_balances(case: Case) -> None:
     # New nodes that begin at rest lose their energy at half a step from where it is counted.
-    assert float(case.ran.energy.balance_error) < (1e-3 if case.scene.refinement is None else 2e-3)
+    plain = case.scene.refinement is None and isinstance(case.scene.pressure, jaxform.Pressure)
+    assert float(case.ran.energy.balance_error) < (1e-3 if plain else 2e-3)
 
 
-@pytest.mark.parametrize("replayed", [False, True])
-def test_run_simulation_and_replay_are_one(case: Case, replayed: bool) -> None:
-    (_, result), _ = case.simulate(replayed=replayed)
+def test_a_replay_is_the_run(case: Case) -> None:
+    (_, result), _ = case.simulate()
+    _assert_same_part(case.room.result(result), case.ran)
+
+
+@pytest.mark.parametrize("case", [name for name in MAKE if name not in ("refined", "cooled")], indirect=True)
+def test_a_simulation_is_the_run(case: Case) -> None:
+    """Where the mesh is refined: tests/adapt/test_refinement.py."""
+    (_, result), _ = case.simulate(replayed=False)
     _assert_same_part(case.room.result(result), case.ran)
 
 
 def test_gradients_equal_central_differences_by_every_number(case: Case) -> None:
-    schedule = case.schedule()
+    schedule = case.schedule
     scenes.assert_slopes(lambda numbers: _values(numbers, case.room.scene, schedule), case.numbers)
 
 
@@ -220,17 +237,18 @@ def _values(numbers: Any, scene: jaxform.Scene, schedule: jaxform.Schedule) -> t
     return value, slopes
 
 
+@pytest.mark.parametrize("case", [name for name in MAKE if name != "cooled"], indirect=True)
 def test_beyond_the_scene_itself_there_is_no_slope(case: Case) -> None:
-    order, (_, slopes) = case.room.order, case.simulate(replayed=True)
+    order, (_, slopes) = case.room.order, case.simulate()
     assert order is not None
     inside = np.zeros(order.node_room, bool)
     inside[order.node] = True
     assert not inside.all()
     wide = np.asarray(slopes["parison.thickness"])
     assert np.all(wide[~inside] == 0.0) and np.any(wide[inside] != 0.0)
-    if "pressure.value" in slopes:
-        knots = case.scene.pressure.value.size  # pyright: ignore[reportAttributeAccessIssue]
-        assert np.all(np.asarray(slopes["pressure.value"])[knots:] == 0.0)
+    pressure = case.scene.pressure
+    if isinstance(pressure, jaxform.Pressure) and pressure.time[-1] > case.scene.solver.end_time:
+        assert np.all(np.asarray(slopes["pressure.value"])[pressure.value.size :] == 0.0)
 
 
 @pytest.mark.parametrize("case", ["plain"], indirect=True)
