@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad strangers fuzz killed docs quick waiting
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad strangers fuzz killed docs quick waiting planted
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -79,6 +79,11 @@ stability: environment
 fuzz: environment
 	.venv/bin/python -m benchmarks.hostile.fuzz
 	.venv/bin/python -m benchmarks.hostile.fuzz_journals 200
+
+# Whether the tests find faults of one line in element, step, contact, refinement, adjoint, models and readers, planted one
+# at a time in a copy of the tree; an hour. Some: `.venv/bin/python -m benchmarks.planted_faults adjoint`.
+planted: environment
+	.venv/bin/python -m benchmarks.planted_faults
 
 # What `kill -9` at random moments loses: simulate and optimize killed 40 times each, then run again; ten minutes.
 killed: environment

@@ -27,18 +27,26 @@ SMALL = {
     "08_own_material_model": "elements = 60",
 }
 """Assignments to the parameters of each notebook for a quick check: few elements, few iterations."""
-_QUICKLY = "from jaxform.core import compiling as c; c._LEVEL = 0; import gc; gc.set_threshold(100_000, 50, 50)"
+_LESS = "--xla_backend_optimization_level=0"
+_QUICKLY = (
+    "import gc, os, jax; jax.devices(); os.environ['XLA_FLAGS'] = os.environ.pop('XLA_FLAGS_BEFORE')",
+    "from jaxform.core import compilation; compilation._LEVEL = 0; gc.set_threshold(100_000, 50, 50)",
+    "del gc, os, jax, compilation",
+)
+"""What a kernel runs first for a quick check: it compiles as the tests do, whose programs it then finds."""
 
 
 def execute(path: Path, cache: Path, *, small: bool = False) -> Any:
-    """The notebook with the outputs of a run in a kernel of its own; programs compiled twice are kept in a folder."""
+    """The notebook with the outputs of a run in a kernel of its own; programs are kept in a folder for the others."""
     notebook = nbformat.read(path, as_version=4)
     changes = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     changes["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"  # whatever the caller draws with
     if small:
         # Compiling is nearly all of it; less careful, it takes two thirds.
-        changes["XLA_FLAGS"] = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-    options: dict[str, Any] = {"extra_arguments": [f"--IPKernelApp.exec_lines={_QUICKLY}"]} if small else {}
+        before = os.environ.get("XLA_FLAGS", "")
+        changes |= {"XLA_FLAGS": f"{before} {_LESS}", "XLA_FLAGS_BEFORE": before}
+    lines = [f"--IPKernelApp.exec_lines={line}" for line in _QUICKLY]
+    options: dict[str, Any] = {"extra_arguments": lines} if small else {}
     with _environment(changes):
         given = parametrize(notebook, SMALL[path.stem]) if small else notebook
         NotebookClient(given, timeout=3600, kernel_name="python3", record_timing=False, **options).execute()
@@ -98,7 +106,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=FOLDER, help="where the run notebooks go; by default in place")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as cache:
+    with tempfile.TemporaryDirectory() as temporary:
+        cache = os.environ.get("JAX_COMPILATION_CACHE_DIR", temporary)
         for path in sorted(FOLDER.glob("*.ipynb")):
             if not arguments.names or path.stem in arguments.names:
                 print(path.stem, flush=True)

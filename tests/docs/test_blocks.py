@@ -22,7 +22,7 @@ PAGES = [
 
 # Definitions stay as they are: a function that is defined anew is another one to JAX.
 _TWICE = """
-import ast, json, sys
+import ast, json, os, sys
 import jax
 
 compiled = [0]
@@ -30,7 +30,13 @@ jax.monitoring.register_event_duration_secs_listener(
     lambda event, *_, **__: compiled.__setitem__(0, compiled[0] + event.endswith("backend_compile_duration"))
 )
 space, counts = {"__name__": "page"}, []
-for text in json.load(sys.stdin):
+given = json.load(sys.stdin)
+jax.devices()  # reads the flags
+os.environ["XLA_FLAGS"] = os.environ.pop("XLA_FLAGS_BEFORE")
+if given["quickly"]:
+    from jaxform.core import compilation
+    compilation._LEVEL = 0
+for text in given["blocks"]:
     first = ast.parse(text)
     kept = (ast.FunctionDef, ast.ClassDef, ast.Import, ast.ImportFrom)
     again = ast.Module([part for part in first.body if not isinstance(part, kept)], [])
@@ -42,14 +48,19 @@ print(json.dumps([counts[::2], counts[1::2]]))
 """
 
 
-def _run(blocks: list[str], folder: Path) -> list[list[int]]:
-    """How many programs JAX compiles for each block, the first time and the second, in a process of its own."""
+def _run(blocks: list[str], folder: Path, *, quickly: bool = True) -> list[list[int]]:
+    """How many programs JAX compiles for each block, the first time and the second, in a process of its own.
+
+    Quickly: it imports what compiles for `run` first, to compile as the tests do, whose programs it then finds.
+    """
+    before = os.environ.get("XLA_FLAGS", "")
     known = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-        "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0",
+        "XLA_FLAGS": f"{before} --xla_backend_optimization_level=0",
+        "XLA_FLAGS_BEFORE": before,
     }
     command = [sys.executable, "-W", "error", "-W", "ignore:Error (reading|writing) persistent", "-c", _TWICE]
-    given = json.dumps(blocks)
+    given = json.dumps({"blocks": blocks, "quickly": quickly})
     done = subprocess.run(
         command, cwd=folder, env=known, input=given, capture_output=True, text=True, timeout=900, check=False
     )
@@ -95,5 +106,5 @@ _CALL = "assert float(jitted(jnp.asarray(1.0))) > 0.0"
 
 def test_a_jitted_script_compiles_once_though_simulate_is_first_used_inside_the_trace(tmp_path: Path) -> None:
     """No module that is imported then may add to what JAX compares when it looks for a traced function."""
-    (_, first), (_, second) = _run([_JITTED, _CALL], tmp_path)
+    (_, first), (_, second) = _run([_JITTED, _CALL], tmp_path, quickly=False)
     assert first > 0 and second == 0

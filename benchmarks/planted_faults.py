@@ -1,0 +1,172 @@
+"""Do the tests find what is wrong? Single-line faults, planted one at a time in a copy of the tree: `make planted`.
+
+`python -m benchmarks.planted_faults AREA ...` plants those of some areas; `--tests PATH ...` asks other tests than the
+area's own. A fault that no test finds is a line that nobody holds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parent.parent
+_SECONDS = 1800  # for the tests of one fault: a fault that makes them hang is found
+
+
+class Fault(NamedTuple):
+    """A line's part that stands in a file once, and what is put in its place."""
+
+    area: str
+    file: str
+    right: str
+    wrong: str
+
+
+TESTS = {
+    "element": ["tests/mechanics", "tests/runs/test_exact.py", "tests/runs/test_features.py"],
+    "step": [
+        "tests/runs/test_features.py",
+        "tests/runs/test_simulation.py",
+        "tests/loads",
+        "tests/tools/test_motion.py",
+    ],
+    "contact": ["tests/contact", "tests/runs/test_features.py"],
+    "refinement": ["tests/adapt", "tests/runs/test_features.py", "tests/model/test_fields.py"],
+    "adjoint": ["tests/dynamics/test_windows.py", "tests/runs/test_features.py", "tests/dynamics/test_rims.py"],
+    "models": ["tests/materials", "tests/runs/test_features.py"],
+    "padding": ["tests/runs/test_padding.py", "tests/runs/test_features.py"],
+    "readers": ["tests/mesh"],
+}
+"""The tests that are asked, by area; the first that fails ends the search."""
+
+FAULTS = [
+    Fault(
+        "element", "jaxform/mechanics/stiffness.py", "jnp.sqrt(0.25 * jnp.square(h11", "jnp.sqrt(0.2 * jnp.square(h11"
+    ),
+    Fault("element", "jaxform/mechanics/corners.py", "(p + a + b, p - a, p - b)", "(p + a + b, p - a, p + b)"),
+    Fault("element", "jaxform/mechanics/membrane.py", "g[2] * scale, -g[1] * scale", "g[2] * scale, g[1] * scale"),
+    Fault("step", "jaxform/sheet/scheme.py", "half = 0.5 * damping * kick", "half = 0.6 * damping * kick"),
+    Fault("step", "jaxform/sheet/scheme.py", "return new, kick * damping", "return new, 0.9 * kick * damping"),
+    Fault("step", "jaxform/sheet/scheme.py", "(mass * (speed - before) - kick * own)", "(mass * (speed - before))"),
+    Fault("step", "jaxform/dynamics/step.py", "2.0 * kick - length, volume)", "length, volume)"),
+    Fault("step", "jaxform/dynamics/step.py", "0.5 * (last.pressure + pressed.pressure)", "pressed.pressure"),
+    Fault("step", "jaxform/dynamics/step.py", "jnp.where(moving.count == 0, 0.5, 1.0) * length", "1.0 * length"),
+    Fault("step", "jaxform/dynamics/step.py", "taken.volume + now.active.idle_volume", "taken.volume"),
+    Fault("contact", "jaxform/dynamics/contact_step.py", "jnp.abs(known.wall) - 1, -1)", "jnp.abs(known.wall), -1)"),
+    Fault("contact", "jaxform/contact/sticking.py", "a - self.length * v for", "a - 0.9 * self.length * v for"),
+    Fault(
+        "contact", "jaxform/contact/sticking.py", "meets & used & ~gather(stuck, node)", "meets & ~gather(stuck, node)"
+    ),
+    Fault("refinement", "jaxform/adapt/insertion.py", "lost[0] / (lost[0] + lost[1])", "lost[1] / (lost[0] + lost[1])"),
+    Fault("refinement", "jaxform/adapt/insertion.py", "share * share * (3.0 - 2.0 * share)", "share"),
+    Fault(
+        "refinement",
+        "jaxform/adapt/insertion.py",
+        "lambda first, second: 0.5 * (first + second)",
+        "lambda first, second: first",
+    ),
+    Fault("refinement", "jaxform/adapt/refinement.py", "inherit_stress(state.memory, ancestors)", "state.memory"),
+    Fault(
+        "adjoint",
+        "jaxform/adjoint/reversed_scheme.py",
+        "jnp.where(taken, work * gains, 0.0)",
+        "jnp.where(taken, 0.0 * gains, 0.0)",
+    ),
+    Fault(
+        "adjoint",
+        "jaxform/adjoint/reversed_scheme.py",
+        "kept.count > 0, -work * mean[0]",
+        "kept.count > 0, work * mean[0]",
+    ),
+    Fault(
+        "adjoint",
+        "jaxform/adjoint/reversed_scheme.py",
+        "half = 0.5 * damping * jnp.maximum",
+        "half = 0.0 * damping * jnp.maximum",
+    ),
+    Fault("adjoint", "jaxform/adjoint/reversed_scheme.py", "back.summed[0][0] / now.thickness", "back.summed[0][0]"),
+    Fault(
+        "adjoint",
+        "jaxform/adjoint/reversed_scheme.py",
+        "share[None] * now.compliance",
+        "0.5 * share[None] * now.compliance",
+    ),
+    Fault("models", "jaxform/materials/viscous.py", "modulus * (left - 1.0 + lag)", "modulus * (left + lag)"),
+    Fault(
+        "models", "jaxform/materials/viscous.py", "1.0 / (self.modulus * self.time)", "0.5 / (self.modulus * self.time)"
+    ),
+    Fault("models", "jaxform/materials/shift.py", "-jnp.log(10.0) * self.c1 * above", "-jnp.log(10.0) * above"),
+    Fault("models", "jaxform/sheet/cooling.py", "[ratio * row for row in memory]", "[row for row in memory]"),
+    Fault("models", "jaxform/sheet/cooling.py", "area * thickness * (1.0 - ratio)", "area * thickness * (ratio - 1.0)"),
+    Fault("models", "jaxform/materials/tension_field.py", "turn=(width - 1.0) * both", "turn=width * both"),
+    Fault("models", "jaxform/materials/ogden.py", "jnp.square(power.thickness) - 3.0)", "power.thickness - 3.0)"),
+    Fault(
+        "padding",
+        "jaxform/runs/padding.py",
+        "pad_values(getattr(schedule, name), room, 0)",
+        "pad_values(getattr(schedule, name), room, 1)",
+    ),
+    Fault("padding", "jaxform/runs/padding.py", "np.asarray(split)[order.triangle]", "np.asarray(split)"),
+    Fault("readers", "jaxform/mesh/ply.py", '"binary_big_endian": ">"', '"binary_big_endian": "<"'),
+    Fault("readers", "jaxform/mesh/abaqus.py", 'word.lower().replace("d", "e")', "word.lower()"),
+    Fault("readers", "jaxform/mesh/ply.py", '("uchar", "uint8"), "u1"', '("uchar", "uint8"), "i1"'),
+]
+
+
+def plant(fault: Fault, tree: Path) -> None:
+    """Puts a fault into a copy of the tree.
+
+    Raises:
+        ValueError: If the file does not have the line once.
+    """
+    path = tree / fault.file
+    text = path.read_text(encoding="utf-8")
+    if text.count(fault.right) != 1:
+        raise ValueError(f"{fault.file}: {fault.right!r} stands there {text.count(fault.right)} times, not once")
+    path.write_text(text.replace(fault.right, fault.wrong), encoding="utf-8")
+
+
+def is_found(fault: Fault, tests: list[str]) -> str:
+    """The name of the first test that fails with the fault; empty where all pass."""
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder) / "tree"
+        hidden = shutil.ignore_patterns(".*", "out", "__pycache__", "*.egg-info")
+        shutil.copytree(ROOT, tree, ignore=hidden)
+        plant(fault, tree)
+        programs = ROOT / ".pytest_cache" / "programs"  # what the fault does not change is not compiled again
+        known = {"JAX_COMPILATION_CACHE_DIR": str(programs)} | os.environ | {"PYTHONPATH": str(tree)}
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--tb=no", *tests]
+        try:
+            done = subprocess.run(
+                command, cwd=tree, env=known, capture_output=True, text=True, timeout=_SECONDS, check=False
+            )
+        except subprocess.TimeoutExpired:
+            return "(no end)"
+    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return failed[0].split(" - ")[0] if failed else "" if done.returncode == 0 else done.stdout[-300:]
+
+
+def main() -> None:
+    """Plants the faults of the named areas, or all, and prints what finds them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("areas", nargs="*", help=f"of {', '.join(TESTS)}; all by default")
+    parser.add_argument("--tests", nargs="+", default=None, help="files, folders or tests instead of the area's own")
+    arguments = parser.parse_args()
+    missed = 0
+    for fault in FAULTS:
+        if arguments.areas and fault.area not in arguments.areas:
+            continue
+        found = is_found(fault, arguments.tests or TESTS[fault.area])
+        missed += not found
+        print(f"{fault.area:11}{fault.file}: {fault.wrong}\n           {found or 'NOT FOUND'}", flush=True)
+    raise SystemExit(f"{missed} not found" if missed else 0)
+
+
+if __name__ == "__main__":
+    main()
