@@ -113,9 +113,8 @@ def test_reverse_mode_over_reverse_mode_is_refused_in_a_sentence() -> None:
         jax.eval_shape(jax.grad(lambda at: jnp.sum(jax.grad(figure)(at))), jnp.ones(4))
 
 
-def _walls(factors: jax.Array, adjoint: jaxform.Adjoint | None = None) -> jax.Array:
+def _walls(factors: jax.Array, scene: jaxform.Scene, adjoint: jaxform.Adjoint | None = None) -> jax.Array:
     """Some walls of a cup, and what damping took, by factors on thickness and pressure."""
-    scene = _bound_steps(scenes.cup(elements=24))
     changes = {
         "parison.thickness": factors[0] * scene.parison.thickness,
         "pressure.value": factors[1] * scene.pressure.value,
@@ -130,16 +129,18 @@ _AT = jnp.asarray([1.05, 0.95])
 @functools.cache
 def _columns() -> np.ndarray:
     """In forward mode, one factor after the other."""
-    along = jax.jit(lambda way: jax.jvp(_walls, (_AT,), (way,))[1])
+    scene = _bound_steps(scenes.cup(elements=24))
+    along = jax.jit(lambda way: jax.jvp(lambda factors: _walls(factors, scene), (_AT,), (way,))[1])
     return np.stack([along(way) for way in jnp.eye(2)])
 
 
 @pytest.mark.parametrize("adjoint", [jaxform.Reversed(), jaxform.Checkpointed()])
 def test_a_simulation_is_linearized_as_least_squares_of_others_do_it(adjoint: jaxform.Adjoint) -> None:
     """Gauss and Newton's step: the linear function mapped over a basis, and transposed, inside of a jit."""
+    scene = _bound_steps(scenes.cup(elements=24))
 
     def step(factors: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        value, push = jax.linearize(lambda factors: _walls(factors, adjoint), factors)
+        value, push = jax.linearize(lambda factors: _walls(factors, scene, adjoint), factors)
         columns = jax.vmap(push)(jnp.eye(2))
         slope = jax.linear_transpose(push, factors)(value)[0]
         return value, columns, slope

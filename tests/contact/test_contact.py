@@ -79,7 +79,8 @@ _MOLDS = {
 
 @pytest.mark.parametrize("name", list(_MOLDS))
 def test_random_paths_land_where_brute_force_says(name: str) -> None:
-    found = figures.compare(_MOLDS[name](), 4096, seed=3)
+    # Brute force goes through forty thousand triangles for each path there.
+    found = figures.compare(_MOLDS[name](), 1024 if name == "fine torus" else 4096, seed=3)
     assert 0.1 < found.hits / found.paths < 0.9
     assert found.missed == found.invented == 0
     assert found.worst_beta < 1e-12
