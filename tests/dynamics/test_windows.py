@@ -156,7 +156,7 @@ def test_every_loop_takes_the_same_windows_and_all_derivatives_agree(
         expected = (value, slopes) if expected is None else expected
         _assert_close((value, slopes), expected)
     change = jax.tree.map(lambda value: value * jnp.cos(jnp.arange(value.size)).reshape(value.shape), at)
-    forward = jax.jit(lambda at, change, scene: jax.jvp(lambda x: _weigh(*x, scene, None)[0], (at,), (change,)))
+    forward = jax.jit(lambda at, change, scene: jax.jvp(lambda x: _weigh(x[0], x[1], scene, None)[0], (at,), (change,)))
     along = sum(map(jnp.vdot, jax.tree.leaves(expected[1]), jax.tree.leaves(change)))
     np.testing.assert_allclose(forward(at, change, cup)[1], along, rtol=1e-9)
     # Steps with so much damping that they cannot be taken back are worked out once more.
