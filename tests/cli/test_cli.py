@@ -176,7 +176,7 @@ def test_what_takes_longer_than_a_moment_is_named(
     monkeypatch.setattr("builtins.print", lambda *words, **_: (sys.stdout.write(str(words[0])), begun.set()))
     with session.report_waiting(argparse.Namespace(quiet=False), "comparing the part"):
         assert begun.wait(30)
-    assert "measuring the part ..." in capfd.readouterr().out
+    assert "comparing the part ..." in capfd.readouterr().out
     begun.clear()
     with session.report_waiting(argparse.Namespace(quiet=True), "comparing the part"):
         pass

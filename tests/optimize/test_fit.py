@@ -423,7 +423,7 @@ def test_a_table_that_is_doubtful(tmp_path: Path, text: str, words: str) -> None
         ({"model": "ogden", "weights": "none"}, "--weights = 'none'"),
         ({"model": "gent", "viscous": "foo"}, "--viscous = 'foo': is unknown; use christensen"),
         ({"model": "rubber"}, "--model = 'rubber'"),
-        ({"model": "gent", "terms": 2}, "--terms = 2: means nothing to gent"),
+        ({"model": "gent", "terms": 2}, "--terms = 2: has no effect on gent"),
         ({"model": "ogden", "terms": 7}, "--terms = 7: is out of range"),
         ({"model": "gent", "modes": 2}, "--modes = 2: needs tests with a column time"),
         ({"model": "gent"}, "2 measured values cannot determine 2 parameters"),
