@@ -53,7 +53,7 @@ def _moved_numbers(study: Study) -> list[str]:
     found = []
     for variable in study.variables:
         for path, values in variable.changes(jnp.asarray(variable.start)).items():
-            old, new = (np.asarray(own, float) for own in (number_at(study.scene, path), values))
+            old, new = (np.asarray(each, float) for each in (number_at(study.scene, path), values))
             if np.abs(new - old).max() > _MOVED * np.abs(old).max():
                 found.append(
                     f"{path} is {_range(old)} in the scene, but the search starts with {_range(new)}, the nearest that "

@@ -148,8 +148,11 @@ class _Insertions(NamedTuple):
             return waits[0] | waits[1]
 
         def generation(carry: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], None]:
-            own, waiting = carry
-            return (lax_cond_once(jnp.any(waiting), join_again, own, differentiable=True), is_waiting(waiting)), None
+            current, waiting = carry
+            return (
+                lax_cond_once(jnp.any(waiting), join_again, current, differentiable=True),
+                is_waiting(waiting),
+            ), None
 
         start = join(*outside), newer[0] | newer[1]
         if self.differentiable:

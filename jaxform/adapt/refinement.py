@@ -200,7 +200,7 @@ def enlarge_capacity(scene: Scene, adaptivity: Adaptivity, state: State) -> tupl
         row=_pad(mesh.row, elements),
     )
     status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
-    memory, heat = jax.tree.map(lambda own: _pad(own, elements), (state.memory, state.heat))
+    memory, heat = jax.tree.map(lambda rows: _pad(rows, elements), (state.memory, state.heat))
     nodes = state.nodes.pad(nodes)
     state = dataclasses.replace(state, nodes=nodes, mesh=grown, memory=memory, heat=heat, status=status)
     return _replace_adaptivity(scene, more), state
@@ -220,14 +220,16 @@ def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivit
     capacity = padded_length(mesh.element.size)
     blocks = mesh.element_count // BLOCK + 1
 
-    def work(element: jax.Array, neighbor: jax.Array, own: jax.Array, fine: jax.Array, area: jax.Array) -> Any:
+    def work(
+        element: jax.Array, neighbor: jax.Array, element_shape: jax.Array, fine: jax.Array, area: jax.Array
+    ) -> Any:
         level = element_levels(element, forest)
-        wanted = _is_bent(own, neighbor, shapes, limits.angle) & (level < limits.max_level)
+        wanted = _is_bent(element_shape, neighbor, shapes, limits.angle) & (level < limits.max_level)
         if limits.jump is not None:
-            wanted |= _is_uneven(own, neighbor, shapes, limits.jump) & (level < limits.max_level)
+            wanted |= _is_uneven(element_shape, neighbor, shapes, limits.jump) & (level < limits.max_level)
         if forest.bend is not None:
             # A bent part of the mold is nearer than so many longest sides.
-            wanted |= (own[4] > 0.0) & (level < limits.base_level)
+            wanted |= (element_shape[4] > 0.0) & (level < limits.base_level)
         return [[wanted & ~fine & (area > 0.0)]], []
 
     across = mesh.sides[forest.half_edges[:, mesh.element] ^ 1]

@@ -44,9 +44,13 @@ def make_queue(found: jax.Array, count: jax.Array, forest: BisectionHierarchy | 
     """A queue of triangles (capacity,) of which the first `count` are used, in any order; closed already."""
     there = jnp.arange(found.size) < count
     triangle = jnp.sort(jnp.where(there, found, NEVER))
-    own = jnp.where(there, found, 0)
+    triangle_found = jnp.where(there, found, 0)
     # Two triangles share the new node in the middle of the edge between them.
-    return Queue(triangle, count, jnp.sum(there & (own <= jnp.asarray(forest.partner)[own]), dtype=jnp.int32))
+    return Queue(
+        triangle,
+        count,
+        jnp.sum(there & (triangle_found <= jnp.asarray(forest.partner)[triangle_found]), dtype=jnp.int32),
+    )
 
 
 def close_queue(
@@ -184,9 +188,9 @@ def _add_corners(mesh: RefinedMesh, places: list[jax.Array], middle: jax.Array, 
         (element, ((middle, middle_row), (peak, peak_row), (a, a_row))),
         (last, ((middle, middle_row + 1), (b, b_row), (peak, second_row))),
     ):
-        for k, (node, own) in enumerate(corners):
-            corner = _write_entry(corner, 4 * number + k, own, node)
-            row = _write_entry(row, own, k, number)
+        for k, (node, slot) in enumerate(corners):
+            corner = _write_entry(corner, 4 * number + k, slot, node)
+            row = _write_entry(row, slot, k, number)
     return dataclasses.replace(mesh, corner=corner, corner_count=count, row=row)
 
 

@@ -150,7 +150,7 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
             "initial_thickness": thickness,
             "contact_time": np.where(np.asarray(parison.clamped)[:first], 0.0, -1.0),
             **_temperature(parison, first),
-            **{name: np.asarray(own.start(parison.positions), float)[:first] for name, own in scene.fields.items()},
+            **{name: np.asarray(field.start(parison.positions), float)[:first] for name, field in scene.fields.items()},
         },
         cell_data={
             "thickness": thickness[triangles].mean(1),
@@ -310,11 +310,13 @@ def fit_picture(path: Path, title: str, curves: Sequence[FitCurve]) -> None:
     figure = new_figure(max(8.0, 6.5 * len(panels)), 8.0, title)
     grid = figure.subplots(2, len(panels), squeeze=False, height_ratios=(3, 1), sharex="col")
     for (upper, lower), panel in zip(grid.T, panels, strict=True):
-        own = [curve for curve in curves if (curve.panel, curve.across) == panel]
-        for curve, color in zip(own, _cycle_colors(len(own)), strict=True):
+        panel_curves = [curve for curve in curves if (curve.panel, curve.across) == panel]
+        for curve, color in zip(panel_curves, _cycle_colors(len(panel_curves)), strict=True):
             _draw(upper, lower, curve, color)
         upper.set(ylabel=panel[0])
-        lower.set(xlabel=panel[1], ylabel="fit less measured [%]", xscale="log" if own[0].logarithmic else "linear")
+        lower.set(
+            xlabel=panel[1], ylabel="fit less measured [%]", xscale="log" if panel_curves[0].logarithmic else "linear"
+        )
         lower.axhline(0.0, color="#7f7f7f", linewidth=0.8)
         upper.legend(frameon=False)
     figure.tight_layout()

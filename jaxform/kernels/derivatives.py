@@ -137,13 +137,13 @@ def as_single_operation(function: Callable[..., Any], *arguments: Any) -> Any:
 
 def select(values: Iterable[Any], here: Sequence[bool]) -> list[Any]:
     """The values at whose places it is true."""
-    return [value for value, own in zip(values, here, strict=True) if own]
+    return [value for value, is_here in zip(values, here, strict=True) if is_here]
 
 
 def merge(here: Sequence[bool], some: Iterable[Any], others: Iterable[Any] = itertools.repeat(None)) -> list[Any]:
     """One after the other the next of `some` where it is here, else what is at its place in `others`."""
     new = iter(some)
-    return [next(new) if own else other for own, other in zip(here, others, strict=False)]
+    return [next(new) if is_here else other for is_here, other in zip(here, others, strict=False)]
 
 
 def _shapes(tree: Any) -> Any:
@@ -246,9 +246,9 @@ def _transpose(
     wanted = tuple(merge(moving, change, itertools.repeat(False)))
 
     def pull(kept: Any, end: Any) -> list[Any]:
-        own = Cotangents(structure, wanted)
-        rule.pull(kept, own, end)
-        return own.found
+        collected = Cotangents(structure, wanted)
+        rule.pull(kept, collected, end)
+        return collected.found
 
     name = (rule, structure, wanted) if rule.lasting else None
     found = call_opaque(pull, jax.tree.unflatten(kept, leaves[:count]), end, name=name)
@@ -269,9 +269,9 @@ def _batch(leaves: Any, axes: Any, *, rule: DerivativeRule, structure: Any) -> t
 
     def pull(kept: Any, cotangents: Cotangents, end: Any) -> None:
         def one(kept: Any, end: Any) -> list[Any]:
-            own = Cotangents(structure, cotangents.wanted)
-            rule.pull(kept, own, end)
-            return own.found
+            collected = Cotangents(structure, cotangents.wanted)
+            rule.pull(kept, collected, end)
+            return collected.found
 
         for k, each in enumerate(jax.vmap(one)(kept, end)):
             if each is not None:

@@ -102,9 +102,9 @@ class TwiceDifferentiable:
         given, here = _present_tangents(tangents[structure.num_leaves :])
         if given:
             new = iter(here)
-            both = tuple(next(new) if own else False for own in present)
-            own = primals[: structure.num_leaves]
-            terms.append(self._tangent_p.bind(*own, *given, structure=structure, smooth=smooth, present=both))
+            both = tuple(next(new) if is_present else False for is_present in present)
+            arguments = primals[: structure.num_leaves]
+            terms.append(self._tangent_p.bind(*arguments, *given, structure=structure, smooth=smooth, present=both))
         return value, terms[0] if len(terms) == 1 else [ad.add_jaxvals(*each) for each in zip(*terms, strict=True)]
 
     @with_standard_promotion
@@ -155,12 +155,12 @@ def _split(leaves: Sequence[Any], structure: Any) -> tuple[Any, list[Any]]:
 
 
 def _select(values: Sequence[Any], here: Sequence[bool]) -> list[Any]:
-    return [value for value, own in zip(values, here, strict=True) if own]
+    return [value for value, is_here in zip(values, here, strict=True) if is_here]
 
 
 def _merge(here: Sequence[bool], new: Sequence[Any], old: Sequence[Any]) -> list[Any]:
     given = iter(new)
-    return [next(given) if own else value for own, value in zip(here, old, strict=True)]
+    return [next(given) if is_here else value for is_here, value in zip(here, old, strict=True)]
 
 
 def _replace_leaves(load: Any, here: Sequence[bool], new: Sequence[Any]) -> Any:

@@ -176,13 +176,13 @@ class _SlopePowers:
 
     def _power_difference(self, weights: list[jax.Array]) -> jax.Array:
         """Sum of weights times x1^p - x2^p."""
-        own = zip(weights, self._terms, self._more, strict=True)
-        return sum((weight * jnp.sign(p) * more for weight, (_, p), more in own), jnp.zeros_like(self._half))
+        parts = zip(weights, self._terms, self._more, strict=True)
+        return sum((weight * jnp.sign(p) * more for weight, (_, p), more in parts), jnp.zeros_like(self._half))
 
     def _second_powers(self, weights: list[jax.Array]) -> jax.Array:
         """Sum of weights times x2^p."""
-        own = zip(weights, self._terms, self._less, self._more, strict=True)
-        terms = (weight * less + jnp.where(p < 0.0, weight, 0.0) * more for weight, (_, p), less, more in own)
+        parts = zip(weights, self._terms, self._less, self._more, strict=True)
+        terms = (weight * less + jnp.where(p < 0.0, weight, 0.0) * more for weight, (_, p), less, more in parts)
         return sum(terms, jnp.zeros_like(self._half))
 
     def _third_powers(self, weights: list[jax.Array]) -> jax.Array:
@@ -228,10 +228,10 @@ class _SlopePowers:
         by_trace = mixed = by_determinant = jnp.zeros_like(excess)
         for c, p in self._terms:
             power = 0.5 * c * exp2((0.5 * p) * self._product) * shrink
-            own, slope = _series(p, excess)
+            value, slope = _series(p, excess)
             by_trace += power * _series(p + 1.0, excess)[1]
             mixed -= power * shrink * slope
-            by_determinant += power * jnp.square(shrink) * ((1.0 + excess) * slope - (p - 1.0) * own)
+            by_determinant += power * jnp.square(shrink) * ((1.0 + excess) * slope - (p - 1.0) * value)
         return excess < _ALIKE, by_trace, mixed, by_determinant
 
 

@@ -90,8 +90,8 @@ def corner_cotangents(
         weight, pressure = area * thickness, pressure_share(load.pressure, area)
         sums: list[jax.Array] = []
         force_shares: list[Vector] = []
-        own = edge1_cotangent = edge2_cotangent = scale(jnp.zeros_like(area), normal)
-        turn = own
+        first_cotangent = edge1_cotangent = edge2_cotangent = scale(jnp.zeros_like(area), normal)
+        turn = first_cotangent
         if pushed is not None:
             w0, w1, w2 = pushes[0]
             total = plus(scale(3.0, w0), plus(w1, w2))
@@ -119,13 +119,13 @@ def corner_cotangents(
                 pull = jax.vjp(lambda p: weighted_stress(g, inverse, weight, present.with_numbers(p)), spread)[1]
                 found = {name: list(rows.reshape(-1, area.size)) for name, rows in pull(half_change)[0].items()}
                 for k, name in enumerate(wanted_zones, int(thickens)):
-                    old[k] = [x + own for x, own in zip(old[k], found[name], strict=True)]
+                    old[k] = [x + row for x, row in zip(old[k], found[name], strict=True)]
                 if varies:
                     sums.extend(row for name in single for row in found[name])
         if volume is not None and moves:
             share = usage_factor(area) * (volume / 6.0)
             turn = plus(turn, scale(share, minus(first, elements.origin)))
-            own = scale(volume / 6.0, normal)
+            first_cotangent = scale(volume / 6.0, normal)
         if forces:
             sums.append(dot(minus(first, elements.origin), normal) / 6.0)
         if not moves:
@@ -133,15 +133,15 @@ def corner_cotangents(
         turn = materialize(orient(turn, block))
         cotangent1 = materialize(plus(edge1_cotangent, cross(edge2, turn)))
         cotangent2 = materialize(plus(edge2_cotangent, cross(turn, edge1)))
-        own = minus(minus(own, cotangent1), cotangent2)
-        corners = list(zip(own, cotangent1, cotangent2, strict=True)) + force_shares
+        first_cotangent = minus(minus(first_cotangent, cotangent1), cotangent2)
+        corners = list(zip(first_cotangent, cotangent1, cotangent2, strict=True)) + force_shares
         return [*old, *combine_pairs(corners, block)], sums
 
     numbers = sum(number.size for number in single.values()) if varies else 0
     count = 0 if pushed is None else int(presses) + numbers + int(forces)
     inputs = element_block(elements), load.thickness, zones
-    room = [*summed, *into]
-    arrays, sums = over_blocks(work, elements.block_count, inputs, room, sums=count, update=len(summed))
+    outputs = [*summed, *into]
+    arrays, sums = over_blocks(work, elements.block_count, inputs, outputs, sums=count, update=len(summed))
     corners = [array for k in range(len(summed), len(arrays), 3) for array in add_overflow(arrays[k : k + 3], elements)]
     if numbers and pushed is not None:
         begin = int(presses)
@@ -155,17 +155,17 @@ def zero_sums(load: Load, wanted: list[bool]) -> list[jax.Array]:
     Of the logarithm of the thickness (1, capacity) where that is wanted, then of each number of the response that
     varies and is wanted (k, capacity).
     """
-    room, real = load.thickness.size, load.thickness.dtype
+    capacity, real = load.thickness.size, load.thickness.dtype
     zones = load.response.zones
-    sizes = [zones[name].size // room for name in _differentiated_zones(load, wanted)]
-    return [jnp.zeros((size, room), real) for size in ([1] if wanted[1] else []) + sizes]
+    sizes = [zones[name].size // capacity for name in _differentiated_zones(load, wanted)]
+    return [jnp.zeros((size, capacity), real) for size in ([1] if wanted[1] else []) + sizes]
 
 
 def zone_cotangents(load: Load, wanted: list[bool], summed: list[jax.Array]) -> dict[str, jax.Array]:
     """Cotangents of the response's varying parameters that are wanted (..., capacity), by name."""
     names, zones = _differentiated_zones(load, wanted), load.response.zones
-    own = summed[int(wanted[1]) :]
-    return {name: rows.reshape(zones[name].shape) for name, rows in zip(names, own, strict=True)}
+    zone_rows = summed[int(wanted[1]) :]
+    return {name: rows.reshape(zones[name].shape) for name, rows in zip(names, zone_rows, strict=True)}
 
 
 def _differentiated_zones(load: Load, wanted: list[bool]) -> list[str]:

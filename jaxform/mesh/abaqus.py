@@ -175,13 +175,13 @@ def _add_elements(scope: _Scope, kind: str, data: list[list[str]]) -> None:
         raise InputError(f"has an element {row[0]} of type {kind} with {len(row) - 1} nodes", "export it again")
 
 
-def _place_instance(parts: dict[str, _Scope], name: str, own: _Scope, numbers: list[list[float]]) -> _Scope:
+def _place_instance(parts: dict[str, _Scope], name: str, content: _Scope, numbers: list[list[float]]) -> _Scope:
     """A part with what its instance adds, its nodes translated, then turned about an axis, as the numbers say."""
     part = parts.get(name)
-    if part is None and not own.nodes:
+    if part is None and not content.nodes:
         raise InputError(f"has an instance of part {name!r}, which does not exist", "export it again")
     part = part or _Scope()
-    scope = _Scope(part.nodes | own.nodes, part.faces + own.faces, part.solid, part.curved)
+    scope = _Scope(part.nodes | content.nodes, part.faces + content.faces, part.solid, part.curved)
     if not numbers or not scope.nodes:
         return scope
     places = np.array(list(scope.nodes.values()))

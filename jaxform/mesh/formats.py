@@ -85,7 +85,7 @@ def _silence() -> Iterator[list[warnings.WarningMessage]]:
 
 
 @contextlib.contextmanager
-def _limit_memory(room: int) -> Iterator[None]:
+def _limit_memory(extra: int) -> Iterator[None]:
     """Lets the process take so many bytes more, where the system can: meshio believes every number in a file."""
     try:
         import resource
@@ -96,7 +96,7 @@ def _limit_memory(room: int) -> Iterator[None]:
         return
     with _limiting:
         soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-        wanted = used + room
+        wanted = used + extra
         allowed = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
         resource.setrlimit(resource.RLIMIT_AS, (min([wanted, *allowed]), hard))
         try:

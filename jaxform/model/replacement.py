@@ -62,9 +62,9 @@ def check_scene(scene: Any) -> None:
     """Raises InputError unless it is a scene of the precision that JAX computes in."""
     if not isinstance(scene, Scene):
         raise InputError("is not a scene", "use jaxform.load or jaxform.build_scene", "scene", scene)
-    own, now = scene.parison.positions.dtype, jnp.result_type(float)
-    if own != now:
-        problem = f"was built in {own}, and JAX computes in {now}: x64 was switched since"
+    built, now = scene.parison.positions.dtype, jnp.result_type(float)
+    if built != now:
+        problem = f"was built in {built}, and JAX computes in {now}: x64 was switched since"
         raise InputError(problem, "load or build the scene again, or switch jax_enable_x64 back", "scene")
 
 
@@ -162,8 +162,8 @@ def _key(path: str) -> str:
 
 def _designable_numbers(scene: Scene) -> dict[str, jax.Array]:
     """Those of `DESIGNABLE` that the scene has."""
-    own = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in parameter_ranges(field)]
-    found = {path: number_at(scene, path) for path in (*DESIGNABLE, *own)}
+    field_paths = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in parameter_ranges(field)]
+    found = {path: number_at(scene, path) for path in (*DESIGNABLE, *field_paths)}
     return {path: values for path, values in found.items() if values is not None}
 
 
@@ -204,8 +204,8 @@ def _shapes(path: str, old: jax.Array, scene: Scene) -> list[tuple[int, ...]]:
     part, _, name = path.rpartition(".")
     if part != "material":
         return [old.shape]
-    own = old.shape[:-1] if name in scene.material.zones else old.shape
-    return [own, (*own, len(scene.parison.thickness))]
+    shape = old.shape[:-1] if name in scene.material.zones else old.shape
+    return [shape, (*shape, len(scene.parison.thickness))]
 
 
 def _as_array(path: str, value: Any) -> jax.Array:

@@ -48,9 +48,9 @@ def validate_law(material: Law, count: int, forest: bisection.TriangleForest | N
     ends, depth = forest.ends, forest.depth
     return made.with_zones(
         {
-            name: as_real(bisection.extend_values(np.asarray(own).T, ends, depth).T)
-            for name, own in made.zones.items()
-            if own.shape[-1] < len(forest.positions)
+            name: as_real(bisection.extend_values(np.asarray(values).T, ends, depth).T)
+            for name, values in made.zones.items()
+            if values.shape[-1] < len(forest.positions)
         }
     )
 
@@ -203,8 +203,8 @@ def _kinds(tree: Any) -> Any:
     return jax.tree.structure(tree), [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(tree)]
 
 
-def _words(own: Any) -> str:
-    kinds = [f"{leaf.dtype}{list(leaf.shape)}" for leaf in jax.tree.leaves(own)]
+def _words(state: Any) -> str:
+    kinds = [f"{leaf.dtype}{list(leaf.shape)}" for leaf in jax.tree.leaves(state)]
     return ", ".join(kinds) or "none"
 
 

@@ -54,7 +54,7 @@ def expected_stretch(parison: Parison, material: Law, pushes: np.ndarray, mold: 
 def _extents(places: np.ndarray, parison: Parison) -> np.ndarray:
     """Lengths (3,) [m] along the axes of places (n, 3) [m], longest first, with what symmetry planes stand for."""
     on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
-    planes = [own[there].mean() if there.any() else np.nan for own, there in zip(
+    planes = [coordinate[there].mean() if there.any() else np.nan for coordinate, there in zip(
         np.asarray(parison.positions, float).T, on_plane.T, strict=True)]  # fmt: skip
     whole = 2.0 * np.abs(places - planes).max(0)
     return np.sort(np.where(on_plane.any(0), whole, np.ptp(places, axis=0)))[::-1]
@@ -176,12 +176,12 @@ def _stiffest_step(bound: jax.Array, material: Law, largest: jax.Array) -> jax.A
     strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
 
     def steps(zones: dict[str, jax.Array], modes: Modes | None) -> jax.Array:
-        own = dataclasses.replace(material.with_zones(zones), viscous=modes)
-        values = stiffness.tangent_stiffness(strain, own)
-        if own.viscous is not None:
-            values += _stiffness_at_once(square, own.viscous)
+        local = dataclasses.replace(material.with_zones(zones), viscous=modes)
+        values = stiffness.tangent_stiffness(strain, local)
+        if local.viscous is not None:
+            values += _stiffness_at_once(square, local.viscous)
         stiffest = jnp.max(jnp.where(jnp.isfinite(values), values, 0.0))  # beyond a limit stretch there is none
-        return stiffness.stable_step(stiffest * bound, own)
+        return stiffness.stable_step(stiffest * bound, local)
 
     zones, modes = material.zones, material.viscous
     shifted = modes is not None and modes.modulus.ndim == 2

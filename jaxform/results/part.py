@@ -37,9 +37,9 @@ def _shares(result: Result, scene: Scene, walls: Any) -> Any:
     Nodes that touch nothing, as in corners that are not filled, take the mean of those around them, iteratively.
     """
     wall, used = jnp.asarray(result.wall), jnp.asarray(result.used)
-    own = walls[jnp.maximum(jnp.abs(wall) - 1, 0)]
+    in_part = walls[jnp.maximum(jnp.abs(wall) - 1, 0)]
     held = (wall != 0) | jnp.asarray(scene.parison.clamped)
-    first = jnp.where(wall != 0, jnp.where(own, 1.0, -1.0), jnp.where(held, -1.0, 0.0))
+    first = jnp.where(wall != 0, jnp.where(in_part, 1.0, -1.0), jnp.where(held, -1.0, 0.0))
     corners = jnp.asarray(result.triangles)
     count = membrane.sum_to_nodes(jnp.where(used, 1.0, 0.0), corners.T, wall.size)
 

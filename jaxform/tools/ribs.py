@@ -193,9 +193,9 @@ def _through_faces(
     # Each edge comes with both of its triangles; three of them are around a pin.
     kept = np.flatnonzero(count[:, 0] >= 6)
     middle, width = (np.add.reduceat(place, first) / count)[kept], np.linalg.norm(high - low, axis=1)[kept]
-    own = corners[pair[first]][kept]
-    side = np.linalg.norm(own - np.roll(own, 1, axis=1), axis=2).max(1)
-    return _escaping_spots(middle, width, way[kept], 0.0 * way[kept], up[pair[first]][kept], _normals(own), side)
+    triangles = corners[pair[first]][kept]
+    side = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(1)
+    return _escaping_spots(middle, width, way[kept], 0.0 * way[kept], up[pair[first]][kept], _normals(triangles), side)
 
 
 def _escaping_spots(
@@ -357,12 +357,12 @@ def _highest(
     """
     part, count = masks.label_parts(above > least)
     for number in sorted(range(1, count + 1), key=lambda k: -above[part == k].max())[:_PARTS]:
-        own = part == number
-        row, column = np.unravel_index(int(np.argmax(np.where(own, above, 0.0))), above.shape)
+        region = part == number
+        row, column = np.unravel_index(int(np.argmax(np.where(region, above, 0.0))), above.shape)
         wide = filled <= way[row, column] + 0.5 * above[row, column]
-        away = masks.distance(~wide)[own].max() if wide.any() else np.inf
+        away = masks.distance(~wide)[region].max() if wide.any() else np.inf
         if away > _CORNER * radius + 2.0:
-            return (int(row), int(column)), float(masks.distance(own).max())
+            return (int(row), int(column)), float(masks.distance(region).max())
     return None
 
 

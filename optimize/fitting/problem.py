@@ -127,7 +127,7 @@ def _slopes_and_values(
 
     def model_values(free: jax.Array) -> tuple[jax.Array, jax.Array]:
         law = numbers.make(free)
-        found = jnp.concatenate([_model_values(law, kind, own) for kind, own in zip(kinds, data, strict=True)])
+        found = jnp.concatenate([_model_values(law, kind, columns) for kind, columns in zip(kinds, data, strict=True)])
         return found, found
 
     return jax.jacfwd(model_values, has_aux=True)(free)

@@ -82,7 +82,7 @@ class Stability:
             for stretch in np.exp(np.linspace(min(0.0, *logs), max(0.0, *logs), _SAMPLES))
         ]
         one = jnp.array([stretch for _, stretch in self.places])
-        states_of = {state: np.array([own == state for own, _ in self.places]) for state in reach}
+        states_of = {state: np.array([each == state for each, _ in self.places]) for state in reach}
         self._both = functools.partial(_slopes_and_least, numbers, one=one, states_of=states_of, stress=stress)
 
     def deficit(self, free: Array, margin: float = 0.0) -> Array:
@@ -110,7 +110,7 @@ def _slopes_and_least(
     """The least slope of the true stress at each place (n_place,), relative to a stress, and its derivatives."""
 
     def least(free: jax.Array) -> tuple[jax.Array, jax.Array]:
-        across = [jnp.where(own, states.crosswise(state, one), 0.0) for state, own in states_of.items()]
+        across = [jnp.where(mask, states.crosswise(state, one), 0.0) for state, mask in states_of.items()]
         law = numbers.make(free)
 
         def true_stress(logs: jax.Array) -> jax.Array:
@@ -195,12 +195,12 @@ def _search(problem: Problem, begin: Array, stability: Stability | None = None) 
     from scipy.optimize import least_squares
 
     def differences(free: Array) -> Array:
-        own = problem.differences(free)
-        return own if stability is None else np.concatenate([own, _FORCE * stability.deficit(free, _MARGIN)])
+        residual = problem.differences(free)
+        return residual if stability is None else np.concatenate([residual, _FORCE * stability.deficit(free, _MARGIN)])
 
     def slopes(free: Array) -> Array:
-        own = problem.slopes(free)
-        return own if stability is None else np.concatenate([own, _FORCE * stability.slopes(free, _MARGIN)])
+        jacobian = problem.slopes(free)
+        return jacobian if stability is None else np.concatenate([jacobian, _FORCE * stability.slopes(free, _MARGIN)])
 
     lower, upper = problem.numbers.lower, problem.numbers.upper
     begin = np.clip(begin, lower, upper)
@@ -260,8 +260,8 @@ def confidence_of(problem: Problem, free: Array) -> Confidence:
     with np.errstate(over="ignore"):
         for place, width in zip(np.flatnonzero(inside), half, strict=True):
             low[place], high[place] = (numbers.all[place].value(free[place] + sign * width) for sign in (-1.0, 1.0))
-    own = np.sqrt(np.diag(spread))
-    correlation[np.ix_(inside, inside)] = spread / np.outer(own, own)
+    deviation = np.sqrt(np.diag(spread))
+    correlation[np.ix_(inside, inside)] = spread / np.outer(deviation, deviation)
     condition = float(singular[0] / max(singular[-1], 1e-300))
     return Confidence(low, high, correlation, at_bound, without_influence, condition)
 
