@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from jaxform.core.errors import InputError, describe_system_error
@@ -47,8 +47,11 @@ def guarded(function: Callable[[Any], Any], argument: Any) -> Outcome:
 
 
 def describe_error(error: BaseException) -> str:
-    """An error in one line."""
-    words = str(error) if isinstance(error, InputError) else describe_system_error(error)
+    """An error in one line, without the name of the scene file where it names a key."""
+    if isinstance(error, InputError):
+        words: str | None = str(replace(error, file="") if error.key else error)
+    else:
+        words = describe_system_error(error)
     text = " ".join((words or f"{type(error).__name__}: {error}").split())
     return text if len(text) <= _MOST_WORDS else f"{text[:_MOST_WORDS]} ..."
 

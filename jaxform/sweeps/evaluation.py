@@ -12,6 +12,7 @@ import io
 import json
 import math
 import os
+import pickle
 import platform
 import tempfile
 import time
@@ -100,6 +101,8 @@ def set_up(setting: Setting) -> Worker:
         share_programs_in(folder / disk.COMPILED)
     # That of `jaxform.run` itself, so that functions of users find its programs, too.
     IN_MEMORY.folder, IN_MEMORY.shared = None if folder is None else folder / disk.MADE, True
+    with disk.exclusive(folder):
+        IN_MEMORY.is_noted("first design", ())  # its name depends on what XLA knows, for which a program is compiled
     return Worker(IN_MEMORY, folder)
 
 
@@ -218,14 +221,25 @@ def measures_of(summary: dict[str, Any]) -> dict[str, Any]:
     return {name: value if value is None or math.isfinite(value) else None for name, value in found.items()}
 
 
-def call_function(task: tuple[Callable[[Scene], Any], Scene | SceneDocument, Setting]) -> Any:
+def pack_scene(scene: Scene) -> Scene | bytes:
+    """A scene as bytes: a worker must set its precision before it reads them. As it is where it cannot be packed."""
+    try:
+        return pickle.dumps(scene)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return scene  # threads of this process can do without
+
+
+def call_function(task: tuple[Callable[[Scene], Any], Scene | SceneDocument | bytes, Setting]) -> Any:
     """What a function of a user's own gives for a scene, which is built here where it comes as a document."""
     function, given, setting = task
     worker = set_up(setting)
+    if isinstance(given, bytes):
+        given = pickle.loads(given)
     name = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', repr(function))}"
     kind = _kind(given) if isinstance(given, SceneDocument) else ""
     with compile_once(worker, name, kind):
-        return function(files.build(given, worker.store) if isinstance(given, SceneDocument) else given)
+        scene = files.build(given, worker.store) if isinstance(given, SceneDocument) else given
+        return function(scene)
 
 
 def measure(scene: Scene) -> Outcome:

@@ -70,8 +70,9 @@ def draw_all(folder: Path, paths: Sequence[str], rows: Sequence[Row], units: Map
     """
     good = np.array([row["status"] == "ok" for row in rows])
     responses = {name: _response(name, rows) for name in RESPONSES}
-    variables = [axis for path in paths if (axis := _variable(path, rows, units.get(path, ""))) is not None]
     drawable = good & np.isfinite(responses["wall_min"].values)
+    found = [_variable(path, rows, units.get(path, "")) for path in paths]
+    variables = [axis for axis in found if axis is not None and _varies(axis.values[drawable])]
     if not variables or drawable.sum() < 2:
         return []
     variables, left_out = _strongest(variables, responses["wall_min"].values, drawable)
@@ -80,6 +81,10 @@ def draw_all(folder: Path, paths: Sequence[str], rows: Sequence[Row], units: Map
     _draw_effects(folder / "main_effects.png", variables, list(responses.values()), drawable, note)
     _draw_matrix(folder / "scatter_matrix.png", variables[:5], list(responses.values()), drawable)
     return ["thinnest_wall.png", "main_effects.png", "scatter_matrix.png"]
+
+
+def _varies(values: Array) -> bool:
+    return len(np.unique(values[np.isfinite(values)])) > 1
 
 
 def _response(name: str, rows: Sequence[Row]) -> Axis:

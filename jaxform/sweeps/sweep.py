@@ -20,7 +20,7 @@ from jaxform.core.errors import InputError
 from jaxform.model.scene import Scene
 from jaxform.sweeps.designs import SCENE, Design, Rows, make_designs, parse_path
 from jaxform.sweeps.engine import Outcome, evaluate
-from jaxform.sweeps.evaluation import Setting, call_function, measure, this_process
+from jaxform.sweeps.evaluation import Setting, call_function, measure, pack_scene, this_process
 from jaxform.sweeps.folder import head
 from jaxform.sweeps.records import MEASURES, Records, number
 from jaxform.sweeps.workers import DaskWorkers, LocalWorkers
@@ -88,7 +88,7 @@ def sweep(
     if left:
         pool, own = _pool(executor, workers, len(left))
         setting = Setting(_precision(), _cache(own), this_process())
-        arguments = [(function, designs[place].document or given[place], setting) for place in left]
+        arguments = [(function, designs[place].document or pack_scene(given[place]), setting) for place in left]
         try:
             for place, outcome in evaluate(call_function, arguments, pool):
                 finish(left[place], outcome)

@@ -37,7 +37,7 @@ def compute(task: Task) -> Any:
     if what == "raise":
         raise ValueError("two\nlines")
     if what == "refuse":
-        raise jaxform.InputError("is wrong", "mend it", "material.c", -1)
+        raise jaxform.InputError("is wrong", "mend it", "material.c", -1, "scene.toml")
     if what == "memory":
         raise MemoryError
     if what == "local":
