@@ -71,7 +71,7 @@ FAULTS = [
         "lambda first, second: 0.5 * (first + second)",
         "lambda first, second: first",
     ),
-    Fault("refinement", "jaxform/adapt/refinement.py", "inherit_stress(state.memory, ancestors)", "state.memory"),
+    Fault("refinement", "jaxform/adapt/refinement.py", "inherit_stress(state.memory, element, parts)", "state.memory"),
     Fault(
         "adjoint",
         "jaxform/adjoint/reversed_scheme.py",
