@@ -82,7 +82,7 @@ class Store:
         self.shared = shared
         self._programs: dict[_ProgramKey, PendingProgram] = {}
         self._taken: dict[str, None] = {}
-        self._ahead: Future[dict[str, tuple[StoredProgram, Future[Program]]]] | None = None
+        self._ahead: Future[dict[str, tuple[bytes, Future[Program]]]] | None = None
 
     def arrays(self, name: str, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Named arrays.
@@ -164,7 +164,7 @@ class Store:
         known = all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in lists)
         return found if known else {}
 
-    def _start_preloading(self, subject: str) -> dict[str, tuple[StoredProgram, Future[Program]]]:
+    def _start_preloading(self, subject: str) -> dict[str, tuple[bytes, Future[Program]]]:
         assert self.folder is not None
         lately = self._recent_names()
         names = lately.get(subject) or next(reversed(lately.values()), [])
@@ -207,9 +207,9 @@ class Store:
         begun = ahead.pop(path.name, None) or _start_deserializing(_read_verified(path))
         if begun is None:
             return None
-        stored, loading = begun
+        described, loading = begun
         try:
-            shapes, of_trees = stored.shapes()
+            shapes, of_trees = _restore_trees(described)
         except Exception:  # whatever pickle raises for what another version has written
             return None
         done: Future[Callable[..., Any]] = Future()
@@ -311,10 +311,13 @@ def _recent_names_file() -> str:
     return f"lately-{hashlib.sha256(host_digest() + precision.encode()).hexdigest()[:32]}"
 
 
-def _start_deserializing(kept: Any) -> tuple[StoredProgram, Future[Program]] | None:
-    """A program, and the function that is being loaded from it; None where these bytes are none."""
+def _start_deserializing(kept: Any) -> tuple[bytes, Future[Program]] | None:
+    """The description of a program, and the function that is being loaded; None where these bytes are none."""
     found = None if kept is None else deserialize_program(kept)
-    return None if found is None else (found, submit_compilation(found.load))
+    if found is None:
+        return None
+    described, load = found
+    return described, submit_compilation(load)
 
 
 def _compile_into(done: Future[Callable[..., Any]], function: Any, arguments: tuple[Any, ...]) -> None:
@@ -390,40 +393,33 @@ def serialize_program(shapes: Any, program: Any) -> bytes | None:
     return zlib.compress(content, 1)
 
 
-class StoredProgram(NamedTuple):
-    """A program that was read from bytes.
+def _restore_trees(described: bytes) -> tuple[Any, Callable[[Program], Program]]:
+    """The shapes of a program's results, and what makes of the loaded function one of trees.
 
-    Attributes:
-        load: Loads it, as a function from leaves to leaves: that needs none of the classes of its arguments.
-        known: What else is known of it.
+    Raises:
+        Exception: Whatever pickle raises for what another version has written.
     """
+    leaves, tree, made = pickle.loads(described)
+    shapes = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(shape, kind) for shape, kind in leaves])
 
-    load: Callable[[], Program]
-    known: bytes
+    def of_trees(flat: Program) -> Program:
+        return lambda *arguments: jax.tree.unflatten(made, flat(*jax.tree.leaves(arguments)))
 
-    def shapes(self) -> tuple[Any, Callable[[Program], Program]]:
-        """The shapes of its results, and what makes of the loaded function one of trees.
-
-        Raises:
-            Exception: Whatever pickle raises for what another version has written.
-        """
-        described, tree, made = pickle.loads(self.known)
-        shapes = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(shape, kind) for shape, kind in described])
-
-        def of_trees(flat: Program) -> Program:
-            return lambda *arguments: jax.tree.unflatten(made, flat(*jax.tree.leaves(arguments)))
-
-        return shapes, of_trees
+    return shapes, of_trees
 
 
-def deserialize_program(content: Any) -> StoredProgram | None:
+def deserialize_program(content: Any) -> tuple[bytes, Callable[[], Program]] | None:
     """A program from bytes; None where they are none of this version's.
 
     Args:
         content: What `serialize_program` gave, from a place that is the user's alone: such bytes can do anything.
+
+    Returns:
+        Its description, for `_restore_trees`, and a function that loads it, as one from leaves to leaves: that needs
+        none of the classes of its arguments.
     """
     try:
-        code, given, made, known = pickle.loads(zlib.decompress(content))
+        code, given, made, described = pickle.loads(zlib.decompress(content))
         leaves = jax.tree.structure((tuple(range(given)), {})), jax.tree.structure(tuple(range(made)))
     except Exception:  # whatever pickle raises for what another version has written
         return None
@@ -433,7 +429,7 @@ def deserialize_program(content: Any) -> StoredProgram | None:
 
         return serialize_executable.deserialize_and_load(code, *leaves, execution_devices=jax.local_devices()[:1])
 
-    return StoredProgram(load, known)
+    return described, load
 
 
 @functools.cache
