@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
 import numpy as np
 
 from jaxform import Scene
@@ -73,13 +72,6 @@ class Study:
     document: Any = None
     digest: str = ""
     file: str = ""
-
-
-class Limits(NamedTuple):
-    """Multipliers (n,) of the constraints and the penalty on their violation."""
-
-    multipliers: jax.Array
-    penalty: jax.Array
 
 
 @dataclass

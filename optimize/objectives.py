@@ -7,7 +7,6 @@ g <= 0, which the search keeps by an augmented Lagrangian. Objectives add up in 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,23 +15,6 @@ from numpy.typing import ArrayLike
 
 from jaxform import InputError, Profile, Result, Scene, simulate
 from optimize.wall_statistics import formed_area, nodal_area, nodal_volume
-
-
-class Constraints(NamedTuple):
-    """Limits that must be kept.
-
-    Attributes:
-        excess: Excess (n,), relative to its limit; positive where a limit is broken.
-        weight: Weight (n,) of each entry in its limit; adds up to 1 for each limit.
-    """
-
-    excess: jax.Array
-    weight: jax.Array
-
-
-def no_constraints() -> Constraints:
-    """Constraints of an objective without limits: none."""
-    return Constraints(jnp.zeros(0), jnp.zeros(0))
 
 
 class Objective:
@@ -64,13 +46,18 @@ class Objective:
         """
         raise InputError("is not a sum of squares", "use the method lbfgs or adam", "solver.method", "least-squares")
 
-    def constraints(self, scene: Scene, result: Result) -> Constraints:
-        """Constraints of the objective; none by default."""
-        return no_constraints()
+    def constraints(self, scene: Scene, result: Result) -> tuple[jax.Array, jax.Array]:
+        """Constraints of the objective; none by default.
+
+        Returns:
+            The excess (n,) over each limit, relative to it, positive where a limit is broken; and the weight (n,) of
+            each entry in its limit, which adds up to 1 for each limit.
+        """
+        return jnp.zeros(0), jnp.zeros(0)
 
     def first_multipliers(self, scene: Scene) -> jax.Array:
         """Initial multipliers of the constraints (n,)."""
-        excess = jax.eval_shape(lambda scene: self.constraints(scene, simulate(scene)).excess, scene)
+        excess = jax.eval_shape(lambda scene: self.constraints(scene, simulate(scene))[0], scene)
         return jnp.full(excess.shape, self.price)
 
     def wanted(self, result: Result) -> jax.Array:
@@ -152,12 +139,12 @@ class Target(Objective):
         """Mean square of the relative deviation over the formed area; 0 where it is a constraint."""
         return self._square(scene, result) if self.limit is None else jnp.zeros(())
 
-    def constraints(self, scene: Scene, result: Result) -> Constraints:
+    def constraints(self, scene: Scene, result: Result) -> tuple[jax.Array, jax.Array]:
         """The mean square against that of the limit, halved so that it is relative to the rms."""
         if self.limit is None:
-            return no_constraints()
+            return super().constraints(scene, result)
         excess = 0.5 * (self._square(scene, result) / self.limit**2 - 1.0)
-        return Constraints(excess[None], jnp.ones(1))
+        return excess[None], jnp.ones(1)
 
     def error(self, scene: Scene, result: Result) -> jax.Array:
         """Relative deviation, rms over the formed area."""
@@ -216,10 +203,10 @@ class LeastMass(Objective):
         """The mass, of the part where the scene has one, over that of the initial whole sheet."""
         return result.mass / self._first_mass
 
-    def constraints(self, scene: Scene, result: Result) -> Constraints:
+    def constraints(self, scene: Scene, result: Result) -> tuple[jax.Array, jax.Array]:
         """Shortfall from the minimum (n_element,), relative to it; each element has the same weight."""
         excess = jnp.where(result.used, 1.0 - result.element_thickness / self.minimum, -1.0)
-        return Constraints(excess, jnp.where(result.used, 1.0, 0.0) / jnp.sum(result.used))
+        return excess, jnp.where(result.used, 1.0, 0.0) / jnp.sum(result.used)
 
     def wanted(self, result: Result) -> jax.Array:
         """The minimum (n_node,) [m]."""
@@ -291,10 +278,11 @@ class Weighted(Objective):
         """Deviations of all parts, times the roots of their weights."""
         return jnp.concatenate([weight**0.5 * part.deviations(scene, result) for weight, part in self.parts])
 
-    def constraints(self, scene: Scene, result: Result) -> Constraints:
+    def constraints(self, scene: Scene, result: Result) -> tuple[jax.Array, jax.Array]:
         """Constraints of all parts."""
         each = [part.constraints(scene, result) for _, part in self.parts]
-        return Constraints(*(jnp.concatenate(values) for values in zip(*each, strict=True)))
+        excess, weight = (jnp.concatenate(values) for values in zip(*each, strict=True))
+        return excess, weight
 
     def first_multipliers(self, scene: Scene) -> jax.Array:
         """Multipliers of all parts, times their weights."""

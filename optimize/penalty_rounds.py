@@ -7,7 +7,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 
-from optimize.designs import KEPT, Limits, Point, Study
+from optimize.designs import KEPT, Point, Study
 from optimize.search import Search
 from optimize.termination import NO_STEP, Ending
 from optimize.variables import SheetVariable
@@ -61,7 +61,7 @@ def _update_multipliers(search: Search, point: Point, before: float) -> None:
     multipliers = jnp.maximum(multipliers + penalty * jnp.asarray(point.excess), 0.0)
     if point.violation > max(_ENOUGH * before, KEPT):
         penalty = _LARGER_PENALTY * penalty
-    search.limits = Limits(multipliers, penalty)
+    search.limits = multipliers, penalty
 
 
 def fall_back(search: Search) -> None:

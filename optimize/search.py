@@ -21,7 +21,7 @@ import jaxform
 from jaxform import Result, Scene
 from jaxform.extend import compile_function, mask_part
 from optimize import progress_messages
-from optimize.designs import COLUMNS, Limits, Point, Study
+from optimize.designs import COLUMNS, Point, Study
 from optimize.gradients import gradient_error, slope_within
 from optimize.journal import Answer, Journal
 from optimize.termination import Ending, SpentError, budget_ending
@@ -50,7 +50,7 @@ class Search:
         last: Whether the budget of the search is spent, except for a reserved simulation.
         schedule: Where the mesh is refined, the decisions that simulations take; None where each decides for itself.
         journal: Journal of questions and answers.
-        limits: Multipliers and penalty; None without constraints.
+        limits: Multipliers (n,) of the constraints, and the penalty on their violation; None without constraints.
         seconds: Elapsed time, that of earlier parts of the search included [s].
         gradient_error: Error found by `check`; None before.
         multiplier: The weighted sum of the multipliers at the end of the last round; None before.
@@ -71,7 +71,7 @@ class Search:
     last: bool = False
     schedule: jaxform.Schedule | None = None
     journal: Journal = field(default_factory=Journal)
-    limits: Limits | None = None
+    limits: tuple[jax.Array, jax.Array] | None = None
     seconds: float = 0.0
     gradient_error: float | None = None
     multiplier: float | None = None
@@ -88,7 +88,7 @@ class Search:
         self._curved: tuple[Point, np.ndarray] | None = None
         if self.study.objective.constrained:
             multipliers = self.study.objective.first_multipliers(self.study.scene)
-            self.limits = Limits(multipliers, jnp.asarray(_FIRST_PENALTY))
+            self.limits = multipliers, jnp.asarray(_FIRST_PENALTY)
 
     @property
     def start(self) -> np.ndarray:
@@ -126,7 +126,9 @@ class Search:
 
     # --- What is traced -----------------------------------------------------------------------------------------
 
-    def judge(self, scene: Scene, result: Result, limits: Limits | None) -> tuple[jax.Array, dict[str, jax.Array]]:
+    def judge(
+        self, scene: Scene, result: Result, limits: tuple[jax.Array, jax.Array] | None
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
         """The value of a part, and its reported statistics; traced."""
         result = mask_part(result, scene)
         objective = value = self.study.objective(scene, result)
@@ -144,10 +146,14 @@ class Search:
                 there &= nodal_area(result) > 0
             wanted = self.study.objective.wanted(result) / jnp.where(there, result.thickness, 1.0)
             report["ratio"] = jax.lax.stop_gradient(jnp.where(there, wanted, 1.0))
-        return value, report | wall(scene, result)._asdict()
+        return value, report | wall(result)
 
     def _value(
-        self, free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None, limits: Limits | None
+        self,
+        free: jax.Array,
+        scene: Scene,
+        schedule: jaxform.Schedule | None,
+        limits: tuple[jax.Array, jax.Array] | None,
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
         scene = jaxform.replace(scene, self.changes(free))
         return self.judge(scene, jaxform.simulate(scene, schedule=schedule), limits)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,24 +31,21 @@ def _to_nodes(result: Result, values: jax.Array) -> jax.Array:
     return jnp.zeros(result.thickness.size, values.dtype).at[result.triangles.T.ravel()].add(shares)
 
 
-class WallStatistics(NamedTuple):
-    """Reported values of a part: least and mean wall [m], coefficient of variation, mass [kg], status bits."""
+def wall(result: Result) -> dict[str, jax.Array]:
+    """Reported values of a part: least and mean wall [m], coefficient of variation, mass [kg], status bits; traced.
 
-    least: jax.Array
-    mean: jax.Array
-    variation: jax.Array
-    mass: jax.Array
-    status: jax.Array
-
-
-def wall(scene: Scene, result: Result) -> WallStatistics:
-    """Statistics of the wall over the formed area; traced."""
+    The mean and the variation are those over the formed area.
+    """
     area, thickness = formed_area(result), result.element_thickness
     mean = jnp.sum(area * thickness) / jnp.sum(area)
     variance = jnp.sum(area * jnp.square(thickness - mean)) / jnp.sum(area)
-    return WallStatistics(
-        jnp.min(jnp.where(result.used, thickness, jnp.inf)), mean, jnp.sqrt(variance) / mean, result.mass, result.status
-    )
+    return {
+        "least": jnp.min(jnp.where(result.used, thickness, jnp.inf)),
+        "mean": mean,
+        "variation": jnp.sqrt(variance) / mean,
+        "mass": result.mass,
+        "status": result.status,
+    }
 
 
 def formed_part(scene: Scene) -> Result:

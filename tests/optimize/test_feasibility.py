@@ -14,7 +14,7 @@ import jaxform
 import optimize
 from jaxform.cli import command, session
 from optimize import feasibility
-from optimize.designs import Limits, Point
+from optimize.designs import Point
 from optimize.penalty_rounds import rounds
 from optimize.price import price
 from optimize.search import Search
@@ -233,7 +233,7 @@ class _Rounds:
 
     def __init__(self, study: optimize.Study, factor: float, costs: float) -> None:
         self.study, self.iteration, self.pause = study, 0, np.inf
-        self.limits = Limits(jnp.zeros(1), jnp.asarray(1.0))
+        self.limits = jnp.zeros(1), jnp.asarray(1.0)
         self.multiplier: float | None = None
         self.best: Point | None = None
         self._factor, self._costs = factor, costs

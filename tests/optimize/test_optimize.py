@@ -75,9 +75,9 @@ def test_a_target_with_a_limit_is_a_constraint_alone() -> None:
     target = objectives.Target(scene, result.thickness / 1.1, limit=0.05)
     assert float(target(scene, result)) == 0.0
     # Twice the limit: 0.5 (2^2 - 1); on the limit 0.
-    np.testing.assert_allclose(target.constraints(scene, result).excess, [1.5], rtol=1e-9)
+    np.testing.assert_allclose(target.constraints(scene, result)[0], [1.5], rtol=1e-9)
     kept = objectives.Target(scene, result.thickness / 1.1, limit=0.1)
-    np.testing.assert_allclose(kept.constraints(scene, result).excess, [0.0], atol=1e-9)
+    np.testing.assert_allclose(kept.constraints(scene, result)[0], [0.0], atol=1e-9)
 
 
 def test_objectives_are_what_they_say() -> None:
