@@ -21,6 +21,7 @@ _MOST_PIECES = 100_000, 2  # in all or for each triangle, whichever are more
 _ASKED, _MORE = 32, 2  # points, the farthest by their bounds, that are measured first, and times as many each round
 _POINTS = 4096  # that are looked up together
 _THREADED = 2048  # points whose query is spread over the cores
+_IN_CACHE = 10_000  # pairs of them whose coordinates fit into a core's cache
 _CHUNK = 50_000  # pairs of point and triangle processed together
 
 
@@ -258,22 +259,42 @@ def _nearest(points: Array, corners: Array) -> tuple[Array, NDArray[np.int64], N
     Returns:
         The distance; the side that it is on, -1 inside; the end of that side (0 or 1), -1 between.
     """
-    d, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(edge1, edge2)
-    square = np.einsum("ij,ij->i", normal, normal)
-    away = points - d
-    gamma = np.einsum("ij,ij->i", np.cross(away, edge2), normal) / square
-    delta = np.einsum("ij,ij->i", np.cross(edge1, away), normal) / square
+    parts = np.array_split(np.arange(len(points)), 1 + len(points) // _IN_CACHE)
+    found = [_nearest_by_coordinate(points[part], corners[part]) for part in parts]
+    distance, side, end = zip(*found, strict=True)
+    return np.concatenate(distance), np.concatenate(side), np.concatenate(end)
+
+
+def _nearest_by_coordinate(points: Array, corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """The same as `_nearest`, coordinate by coordinate: several times as fast as vector by vector."""
+    place, (d, e, f) = points.T, np.ascontiguousarray(np.moveaxis(corners, 0, 2))
+    edge1, edge2, away = e - d, f - d, place - d
+    normal = _cross(edge1, edge2)
+    square, height = _dot(normal, normal), _dot(away, normal)
+    gamma, delta = _dot(_cross(away, edge2), normal) / square, _dot(_cross(edge1, away), normal) / square
     inside = (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
-    flat = np.abs(np.einsum("ij,ij->i", away, normal)) / np.sqrt(square)
-    sides = [_segment(points, corners[:, k], corners[:, (k + 1) % 3]) for k in range(3)]
-    distances, places = (np.stack(values) for values in zip(*sides, strict=True))
-    side = np.argmin(distances, axis=0)
-    row = np.arange(len(points))
-    place = places[side, row]
-    end = np.select([place <= 0, place >= 1], [0, 1], -1)
-    distance = np.where(inside, flat, distances[side, row])
-    return distance, np.where(inside, -1, side), np.where(inside, -1, end)
+    distance, side, share = np.full(len(points), np.inf), np.zeros(len(points), np.int64), np.zeros(len(points))
+    for k, (begin, end) in enumerate(((d, e), (e, f), (f, d))):
+        along, beside = end - begin, place - begin
+        t = np.clip(_dot(beside, along) / _dot(along, along), 0.0, 1.0)
+        beside -= t * along
+        off = np.sqrt(_dot(beside, beside))
+        nearer = off < distance
+        distance, share = np.where(nearer, off, distance), np.where(nearer, t, share)
+        side[nearer] = k
+    ends = np.where(share <= 0, 0, np.where(share >= 1, 1, -1))
+    distance = np.where(inside, np.abs(height) / np.sqrt(square), distance)
+    return distance, np.where(inside, -1, side), np.where(inside, -1, ends)
+
+
+def _dot(one: Array, other: Array) -> Array:
+    """Products (n,) of vectors (3, n) and (3, n)."""
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+def _cross(one: Array, other: Array) -> Array:
+    """Cross products (3, n) of vectors (3, n) and (3, n)."""
+    return np.stack([one[(k + 1) % 3] * other[(k + 2) % 3] - one[(k + 2) % 3] * other[(k + 1) % 3] for k in range(3)])
 
 
 def _segment(points: Array, begin: Array, end: Array) -> tuple[Array, Array]:
