@@ -135,7 +135,7 @@ def rms(off: np.ndarray, weight: np.ndarray) -> float:
 
 
 def show_disc(elements: int) -> Measured:
-    """Free discs of two laws: their height, and the nodal thickness over the material."""
+    """Free discs of two models: their height, and the nodal thickness over the material."""
     found: dict[str, float] = {}
     for alpha, stretch in ((0.0, 1.2), (0.0, 1.5), (0.5, 1.5), (0.5, 2.0)):
         errors, result = disc_errors(elements, alpha, stretch)
@@ -199,7 +199,7 @@ def static_sphere_error(elements: int, law: Any, stretch: float) -> tuple[float,
 
 
 def show_static_sphere(elements: int) -> Measured:
-    """Closed spheres under slow pressure: the three laws, the modified one with A02/A01 = 0.01."""
+    """Closed spheres under slow pressure: three models, the modified one with A02/A01 = 0.01."""
     laws = {
         "neo-Hookean, stretch 1.2": (jaxform.NeoHookean(real(1.0), real(1.0)), 1.2),
         "Mooney-Rivlin, alpha 0.5, stretch 1.8": (mooney(0.5), 1.8),

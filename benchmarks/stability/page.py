@@ -37,12 +37,12 @@ def _edge(found: Found, folder: Path) -> str:
     lower = np.maximum(begin, end / found["safety"])
     lines = [
         "## The edge of stability\n",
-        "The true limit is that of the assembled tangent, pressure included, from all its eigenvalues. *At the begin* "
+        "The true limit is that of the assembled tangent, pressure included, from all its eigenvalues. *At the start* "
         "is the step taken over the true limit times the solver's safety, as it was when the window began; *at the "
         "end* is the step over the true limit itself, without safety, as it had become when the window ended: above 1 "
         "the window ran unstably for a while. *Taken anew* are windows that were tried again with half the step. The "
         "last steps, which divide the rest of the time, are left out.\n",
-        "| sheet | material | pressure [c h/a] | thickness between neighbours | stretch up to | windows | at the begin "
+        "| sheet | material | pressure [c h/a] | thickness between neighbours | stretch up to | windows | at the start "
         "| at the end | retried |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
@@ -57,11 +57,11 @@ def _edge(found: Found, folder: Path) -> str:
     missed = why if begin.max() > 1 else ""
     lines += [
         "",
-        f"At the begin {_share(begin > 1)} of the windows are above 1, the largest is {begin.max():.3f}{missed}. "
+        f"At the start {_share(begin > 1)} of the windows are above 1, the largest is {begin.max():.3f}{missed}. "
         f"{_share(begin < 0.9)} are below 0.9, most of them since the sheet is about to stiffen: over the lower of the "
         f"limits at begin and end, times the safety, {_share(lower < 0.9)} of the steps are below 0.9. "
         f"{_share(end > 1)} of the windows end above the true limit, the worst at {end.max():.3f}: a sheet that snaps "
-        "through stiffens within one window. What comes of it is seen at the window's end, by the account of energy, "
+        "through stiffens within one window. What comes of it is seen at the window's end, by the energy balance, "
         "and the window is retried.\n",
         "Observed: an inflated sheet, at rest, is stepped at factors of its true limit until it leaves its shape.\n",
         "| sheet | material | stays at | leaves at |",
@@ -72,7 +72,7 @@ def _edge(found: Found, folder: Path) -> str:
         lines.append(f"| {row['sheet']} | {row['law']} | {below:g} | {row['factor']:g} |")
     figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
     bins = np.linspace(0.6, 1.15, 45).tolist()
-    axes.hist(np.clip(begin, 0.6, 1.15), bins, alpha=0.7, label="at the begin, over safety x limit")
+    axes.hist(np.clip(begin, 0.6, 1.15), bins, alpha=0.7, label="at the start, over safety x limit")
     axes.hist(np.clip(end, 0.6, 1.15), bins, alpha=0.5, label="at the end, over the limit")
     axes.axvline(1.0, color="black", linewidth=1)
     axes.set(xlabel="step taken", ylabel="windows")
@@ -130,7 +130,7 @@ def _random(found: Found, folder: Path) -> str:
         lines.append(f"| {name} | {count} | {shown} |")
     lines += [
         "",
-        "*ok* means: finite, the account of energy right to one per cent of the largest work, no node beyond the mold, "
+        "*ok* means: finite, the energy balance correct to one per cent of the largest work, no node beyond the mold, "
         "no element deeper in it than half the longest side, and the end reached or everything stuck. A name without "
         "*status ok* is what the run reported itself: its status, or the warning that the sheet hangs over a mold too "
         "small for it. One with *status ok* would be a wrong answer that nobody is told of, and so would *units off, "
