@@ -19,6 +19,7 @@ from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
 from jaxform.sheet.energy_balance import rim_ends, rim_swept_volume
 from jaxform.sheet.packing import Packed
+from jaxform.sheet.scheme import add_gravity
 from jaxform.tools.mold import Mold
 
 
@@ -74,7 +75,7 @@ class BackwardNodes(NamedTuple):
         velocities: Of the velocities after the step (3, place), with what the positions after it add.
         force: Of the force in the step (3, place).
         mass, compliance, contact_time: Of the mass, the compliance's logarithm and the contact time (place,).
-        damping, vertices: Of the damping and of the mold's vertices (n_vertex, 3).
+        damping, gravity, vertices: Of the damping, gravity (3,) and the mold's vertices (n_vertex, 3).
     """
 
     at: jax.Array
@@ -86,6 +87,7 @@ class BackwardNodes(NamedTuple):
     compliance: jax.Array
     contact_time: jax.Array
     damping: jax.Array
+    gravity: jax.Array | None
     vertices: jax.Array | None
 
 
@@ -165,7 +167,7 @@ def add_loss_cotangents(
 
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
         flies = landed > turn.number
-        nodal = gather_shares(forces, own)
+        nodal = add_gravity(gather_shares(forces, own), mass, now.scene.solver.gravity)
         before = _velocities_before(nodal, after, kept, (flies, compliance), kick, now, end)
         share = jnp.where(flies, 0.5 * loss * kick * mass * damping, 0.0)
         more = [share * (v + w) for v, w in zip(before, after, strict=True)]
@@ -177,6 +179,16 @@ def add_loss_cotangents(
     into = [nodes.velocities, nodes.force]
     new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
     return nodes._replace(velocities=new[0], force=new[1]), [*corners[:3], *forces]
+
+
+def add_weight_cotangents(nodes: BackwardNodes, now: ReverseWindow) -> BackwardNodes:
+    """Adds to the cotangents of mass and gravity what the weight in a step has, from the cotangent of the force."""
+    gravity = now.scene.solver.gravity
+    if gravity is None or nodes.gravity is None:
+        return nodes
+    return nodes._replace(
+        mass=nodes.mass + gravity @ nodes.force, gravity=nodes.gravity + jnp.sum(now.mass * nodes.force, axis=1)
+    )
 
 
 def step_nodes_back(
@@ -193,7 +205,7 @@ def step_nodes_back(
         at, after, position, velocity, (power,), *more = old
         flies = landed > turn.number
         both = gather_shares(corners, own)
-        pulled, nodal = both[:3], both[3:]
+        pulled, nodal = both[:3], add_gravity(both[3:], mass, now.scene.solver.gravity)
         before = _velocities_before(nodal, after, kept, (flies, compliance), kick, now, end)
         position = [x + own for x, own in zip(position, pulled, strict=True)]
         before, position = materialize((before, position))
@@ -316,7 +328,7 @@ def pull_back_landings(
             return there.nodes.positions, there.nodes.contact_time, there.loss
 
         # All is read before anything is written (docs/explanation/kernels.md).
-        old = materialize(jax.tree.map(read_node, nodes._replace(damping=None, vertices=None)))
+        old = materialize(jax.tree.map(read_node, nodes._replace(damping=None, gravity=None, vertices=None)))
         begin = read_node(before)
         triangle = mold.triangles[jnp.abs(read_node(wall)[0]) - 1]
         after = begin + turn.length * old.speeds
@@ -334,6 +346,7 @@ def pull_back_landings(
             compliance=nodes.compliance,
             contact_time=write_node(nodes.contact_time, jnp.zeros_like(old.contact_time)),
             damping=nodes.damping,
+            gravity=nodes.gravity,
             vertices=None if nodes.vertices is None else nodes.vertices.at[triangle].add(corners),
         )
 

@@ -24,6 +24,7 @@ from jaxform.adjoint.backward import (
     ReverseWindow,
     add_loss_cotangents,
     add_rim_cotangents,
+    add_weight_cotangents,
     pull_back_landings,
     pull_back_rim,
     rim_end_positions,
@@ -44,7 +45,7 @@ from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import inactive_volume, pack_moving
 from jaxform.sheet.discretization import NEVER, Discretization, RefinedMesh, present_discretization
 from jaxform.sheet.energy_balance import rim_places
-from jaxform.sheet.scheme import WindowTiming, pressures, update_velocity, velocity_steps
+from jaxform.sheet.scheme import WindowTiming, add_gravity, pressures, update_velocity, velocity_steps
 from jaxform.sheet.state import LOSSES, Schedule, State, differentiable_leaves
 
 
@@ -148,7 +149,7 @@ def _recompute_end(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
 
         def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
             positions, velocities, before = old
-            nodal = gather_shares(corners, own)
+            nodal = add_gravity(gather_shares(corners, own), mass, now.scene.solver.gravity)
             new, _ = update_velocity(nodal, velocities, (landed < n, mass, compliance), now.kick[n], damping)
             new = [jnp.where(landed < n, old, v) for old, v in zip(velocities, new, strict=True)]
             before = [jnp.where(landed == n, x, at) for x, at in zip(positions, before, strict=True)]
@@ -197,6 +198,11 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     after = jnp.where(number == kept.count - 1, end.account.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
     idle, pull_idle = jax.vjp(lambda positions: inactive_volume(positions, scene, discrete, packed), kept.end)
+    gravity, fall = scene.solver.gravity, end.account.gravity_work
+    if gravity is not None and fall is not None:
+        # Gravity's work is force times displacement in the window: the force at its end, less that at its begin.
+        weight = discrete.mass * gravity[:, None]
+        end = end.replace_nodes(positions=end.nodes.positions + fall * weight)
     back = _reverse_steps(kept, now, cotangents, end, volume, mean)
     nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + idle, prepend=kept.volume)
     if back.rim is not None and kept.rim is not None:
@@ -204,12 +210,20 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     gains = jnp.where(taken, work * gains, 0.0)
 
     put, of = cotangents.put, cotangents.of
-    put(begun.nodes.positions, packed.unpack(nodes.positions) + pull_idle(jnp.sum(volume))[0])
+    positions, mass = packed.unpack(nodes.positions) + pull_idle(jnp.sum(volume))[0], packed.unpack(nodes.mass)
+    if gravity is not None and fall is not None and nodes.gravity is not None:
+        displacement = kept.end - packed.unpack(nodes.at)
+        positions, mass = positions - fall * discrete.mass * gravity[:, None], mass + fall * (gravity @ displacement)
+        put(of[1].solver.gravity, nodes.gravity + fall * jnp.sum(discrete.mass * displacement, axis=1))
+        put(begun.account.gravity_work, fall)
+    put(begun.nodes.positions, positions)
     put(begun.nodes.velocities, packed.unpack(nodes.velocities))
     put(begun.nodes.contact_time, packed.unpack(nodes.contact_time))
     put(begun.account.volume, jnp.where(kept.count > 0, -work * mean[0], end.account.volume))
     if end.account.rim is not None:
         put(begun.account.rim, jnp.where(kept.count > 0, work * mean[0], end.account.rim))
+    if end.account.pre_stretch_work is not None:
+        put(begun.account.pre_stretch_work, end.account.pre_stretch_work)
     for name in ("external_work", *LOSSES):
         put(getattr(begun.account, name), getattr(end.account, name))
     put(of[1].pressure, pull_pressure((back.pressing[:-1], gains))[0])
@@ -218,7 +232,7 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     put(of[1].solver.damping, None if scene.solver.damping is None else nodes.damping)
     if scene.mold is not None and nodes.vertices is not None:
         put(of[1].mold.vertices, nodes.vertices)
-    put(of[2].mass, packed.unpack(nodes.mass))
+    put(of[2].mass, mass)
     # In proportion, since mass alone changes it: the mobility is given.
     square = dot(now.compliance, now.compliance)
     share = jnp.where(square > 0.0, nodes.compliance / jnp.where(square > 0.0, square, 1.0), 0.0)
@@ -297,6 +311,7 @@ def _reverse_steps(
             compliance=jnp.zeros_like(now.mass),
             contact_time=jnp.where(packed.exists, packed.pack(end.nodes.contact_time), 0.0),
             damping=jnp.zeros((), real),
+            gravity=None if scene.solver.gravity is None else jnp.zeros(3, real),
             vertices=None if vertices is None else jnp.zeros_like(vertices),
         ),
         corners=allocate_corner_forces(positions, elements) + allocate_corner_forces(positions, elements),
@@ -322,6 +337,7 @@ def _reverse_steps(
                 lambda both: add_loss_cotangents(*both, load, turn, damping, now, start, loss.damping_loss),
                 (nodes, corners),
             )
+        nodes = add_weight_cotangents(nodes, now)
         corners, summed, sums = corner_cotangents(
             load, elements, wanted, nodes.force, volume[n], corners, carry.summed, forces=True
         )

@@ -89,6 +89,7 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
     skipped = {
         "contact (no mold)": scene.mold is None,
         "damping (none given)": scene.solver.damping is None,
+        "gravity (none given)": scene.solver.gravity is None,
         "viscous stress (no Prony terms)": scene.material.viscous is None,
         "the second invariant (not in this material model)": not scene.material.depends_on_second_invariant,
         "refinement (none given)": scene.refinement is None,
@@ -121,7 +122,8 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
     )
     yield f"{parts}, {rims}, {held} of {first} nodes clamped{on_planes}"
     turns = ", and changes sign" if seen.changes_sign else ""
-    yield f"the pressure, up to {scene.strongest_push():.4g} Pa, pushes the sheet {seen.direction}{turns}"
+    loads = "the pressure" if scene.solver.gravity is None else "the pressure with the weight of the sheet"
+    yield f"{loads}, up to {scene.strongest_push():.4g} Pa, pushes the sheet {seen.direction}{turns}"
 
 
 def _is_cut_at_planes(scene: Scene) -> bool:

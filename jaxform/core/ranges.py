@@ -75,6 +75,7 @@ class Range:
 
 RANGES: dict[str, Range] = {
     "parison.thickness": Range("m", above=0.0),
+    "parison.pre_stretch": Range(least=1.0, most=10.0),
     "pressure.time": Range("s", increasing=True),
     "pressure.value": Range("Pa"),
     "mold.motion.time": Range("s", increasing=True),
@@ -95,6 +96,7 @@ RANGES: dict[str, Range] = {
     "cooling.conductivity": Range("W/(m K)", above=0.0),
     "solver.end_time": Range("s", above=0.0),
     "solver.damping": Range("1/s", least=0.0),
+    "solver.gravity": Range("m/s^2", least=-1e4, most=1e4),
     "solver.safety": Range(above=0.0, most=1.0),
     "solver.max_steps": Range("steps", least=1, most=MOST_STEPS, count=True),
     "refinement.angle": Range("degrees", above=0.0, most=180.0),
@@ -126,6 +128,7 @@ DESIGNABLE = [
     "cooling.conductivity",
     "solver.end_time",
     "solver.damping",
+    "solver.gravity",
     "mold.motion.time",
     "mold.motion.displacement",
 ]

@@ -31,7 +31,7 @@ from jaxform.mechanics.membrane import vector
 from jaxform.model.field import Surroundings, advance_fields
 from jaxform.model.scene import Scene
 from jaxform.sheet.energy_balance import pressure_at, rim_ends, rim_swept_volume
-from jaxform.sheet.scheme import apply_tool_velocity, update_velocity
+from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, update_velocity
 from jaxform.tools.motion import ToolFrame
 
 
@@ -196,6 +196,7 @@ def _advance_nodes(
     frame: ToolFrame | None,
 ) -> _AdvancedNodes:
     nodal, volume = force(load, now.active.packed.elements)
+    nodal = add_gravity(nodal, now.active.mass, scene.solver.gravity)
     nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
     velocities, losses = update_velocity(nodal, moving.nodes.velocities, nodes, kick, scene.solver.damping)
     work: jax.Array | float = 0.0
@@ -235,7 +236,7 @@ def _advance_nodes_in_blocks(
 
     def work(old: Any, own: Any, nodes: Any, wall: Any) -> Any:
         (x,), (y,), (z,), before = old
-        nodal, sums = gather_shares(corners, own), []
+        nodal, sums = add_gravity(gather_shares(corners, own), nodes[1], scene.solver.gravity), []
         velocities, losses = update_velocity(nodal, before, nodes, kick, scene.solver.damping)
         if frame is not None:
             velocities, held, done = apply_tool_velocity(nodal, (before, velocities), nodes, wall, kick, frame.velocity)

@@ -20,7 +20,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.energy_balance import element_energy, energy_rounding, last_work, pressure_at
-from jaxform.sheet.scheme import apply_tool_velocity, update_velocity
+from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, update_velocity
 from jaxform.sheet.state import PackedState, Replay, State, Status
 
 _MOST_RETRIES = 12
@@ -41,13 +41,14 @@ def end_window(
     now: WindowData,
 ) -> PackedState:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
-    work = jax.lax.stop_gradient(moving.account.work)
+    account = dataclasses.replace(moving.account, gravity_work=_add_gravity_work(state, moving, scene, now))
+    work = jax.lax.stop_gradient(account.work)
     new = dataclasses.replace(
         state,
         nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
         memory=moving.memory,
         account=dataclasses.replace(
-            moving.account,
+            account,
             peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
             kinetic_peak=jnp.maximum(state.account.kinetic_peak, end.kinetic),
             kinetic_excess=end.behind - end.kinetic,
@@ -100,6 +101,14 @@ def end_window(
         windows=new.windows,
         shortened=state.shortened + bad,
     )
+
+
+def _add_gravity_work(state: PackedState, moving: WindowState, scene: Scene, now: WindowData) -> jax.Array | None:
+    """Work of gravity [J] up to the window's end; None where none acts."""
+    before, gravity = state.account.gravity_work, scene.solver.gravity
+    if before is None or gravity is None:
+        return None
+    return before + gravity @ jnp.sum(now.active.mass * (moving.nodes.positions - state.nodes.positions), axis=1)
 
 
 def _next_span(
@@ -171,7 +180,7 @@ def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> 
     middle = None if scene.tables.box is None else scene.tables.box.middle
 
     def work(own: Any, nodes: Any, positions: Any, velocities: Any, wall: Any) -> Any:
-        nodal, done = gather_shares(corners, own), []
+        nodal, done = add_gravity(gather_shares(corners, own), nodes[1], scene.solver.gravity), []
         ahead, _ = update_velocity(nodal, velocities, nodes, now.length, scene.solver.damping)
         if frame is not None:
             # Half of what it does from now to the next force, at the velocity that it has had.

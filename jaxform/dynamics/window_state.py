@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -19,7 +20,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.discretization import RefinedMesh, discretize, present_discretization
-from jaxform.sheet.energy_balance import enclosed_volume
+from jaxform.sheet.energy_balance import enclosed_volume, strain_energy
 from jaxform.sheet.heat import ThermalState, initial_heat
 from jaxform.sheet.state import (
     Control,
@@ -160,7 +161,7 @@ def initial_state(scene: Scene) -> State:
     heat = None if scene.cooling is None else initial_heat(elements)
     volume = enclosed_volume(positions, sheet)
     pressed = first_pressure(scene.pressure, volume) if scene.pressure.follows_volume else None
-    return State(
+    state = State(
         nodes=Nodes(
             positions=positions,
             velocities=jnp.zeros_like(positions),
@@ -179,6 +180,7 @@ def initial_state(scene: Scene) -> State:
             tool_work=None if scene.motion is None else zero,
             tool_last=None if scene.motion is None else zero,
             rim=None if scene.tables.rim is None else zero,
+            gravity_work=None if scene.solver.gravity is None else zero,
         ),
         control=Control(
             step_length=zero,
@@ -200,3 +202,7 @@ def initial_state(scene: Scene) -> State:
         status=none,
         heat=heat,
     )
+    if scene.parison.pre_stretch is None:
+        return state
+    held = strain_energy(state, scene, present_discretization(scene, mesh, discretize(scene)))
+    return dataclasses.replace(state, account=dataclasses.replace(state.account, pre_stretch_work=held))

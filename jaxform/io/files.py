@@ -25,11 +25,10 @@ from jaxform.io.geometry import build_mold, build_part, build_profile, build_she
 from jaxform.io.model_files import import_models_of
 from jaxform.io.scene_checks import warn_of_scene, warn_of_thin_features
 from jaxform.io.validation import validate
-from jaxform.loads import make_pressure
+from jaxform.loads import Pressure, make_pressure
 from jaxform.mesh import bisection, meshes, shapes
 from jaxform.mesh.profiles import Profile
 from jaxform.model.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
-from jaxform.prepare.refinement_setup import extend_parison
 from jaxform.prepare.scene_builder import build_scene
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
@@ -173,15 +172,19 @@ def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scen
         sheet = build_sheet(document, store, find_mold)
         refinement, forest = _refinement(document, sheet)
         grown = _extend_sheet(sheet, forest)
+        parison = _parison(document, grown, forest)
+        if forest is not None and parison.pre_stretch is not None:
+            forest = replace(forest, positions=np.asarray(parison.positions, float))
         scene = build_scene(
-            parison=_parison(document, grown, forest),
+            parison=parison,
             refinement=refinement,
             forest=forest,
             material=_material(document, grown),
-            pressure=make_pressure(pressure.time, pressure.value, pressure.interpolation),
+            pressure=_pressure(pressure),
             solver=make_solver(
                 end_time=solver.end_time,
                 damping=solver.damping,
+                gravity=solver.gravity,
                 safety=solver.safety,
                 quasi_static=solver.quasi_static,
                 max_steps=solver.max_steps,
@@ -226,9 +229,18 @@ def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Tri
     temperature = table.temperature
     if temperature is not None:
         temperature = _quantity(document, temperature, "parison.temperature", sheet)
-    if forest is None:
-        return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed, temperature)
-    return extend_parison(forest, thickness, temperature)
+    stretches = getattr(table, "pre_stretch", None)
+    if stretches is not None and getattr(table, "mold_rim", False):
+        # The opening of the mold is the shape that the sheet has when it is clamped.
+        sheet = replace(sheet, positions=sheet.positions / np.append(stretches, 1.0))
+    triangles = sheet.triangles if forest is None else forest.triangles[: forest.root_count]
+    clamped, fixed = (sheet.clamped, sheet.fixed) if forest is None else (forest.clamped, forest.fixed)
+    return make_parison(sheet.positions, triangles, thickness, clamped, fixed, temperature, stretches)
+
+
+def _pressure(table: schema.PressureTable | None) -> Pressure:
+    """The pressure history; none is that of a scene that gravity or a moving mold drives."""
+    return make_pressure([0.0], [0.0]) if table is None else make_pressure(table.time, table.value, table.interpolation)
 
 
 def _extend_sheet(sheet: shapes.Sheet, forest: bisection.TriangleForest | None) -> shapes.Sheet:

@@ -94,6 +94,15 @@ def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -
             elements=table.elements,
             symmetry=table.symmetry,
         )
+    if isinstance(table, schema.Tube):
+        return shapes.tube(
+            radius=table.radius,
+            length=table.length,
+            ends=table.ends,
+            element_size=table.element_size,
+            elements=table.elements,
+            symmetry=table.symmetry,
+        )
     if isinstance(table, schema.Outline):
         size = {"element_size": table.element_size, "elements": table.elements}
         if table.polygon is not None:

@@ -1,4 +1,4 @@
-"""Sheets on the host: disc, rectangle, sphere, half a bottle's parison, and a user's surface."""
+"""Sheets on the host: disc, rectangle, sphere, tube, half a bottle's parison, and a user's surface."""
 
 from __future__ import annotations
 
@@ -296,6 +296,70 @@ def sphere(
     positions = radius * direction / np.linalg.norm(direction, axis=1, keepdims=True)
     sheet = _sheet(positions, index.reshape(-1, 3), np.zeros(len(positions), dtype=bool), symmetry)
     return replace(sheet, snap=lambda middles, _, __: _scale_to_radius(middles, radius))
+
+
+Ends = Literal["clamped", "guided", "free"]
+
+
+def tube(
+    *,
+    radius: float,
+    length: float,
+    ends: Ends = "clamped",
+    element_size: float | None = None,
+    elements: int | None = None,
+    symmetry: Symmetry = "none",
+) -> Sheet:
+    """A round tube about the z axis from z = 0 to the length, with outward normals.
+
+    Near-square cells, their diagonals alternating; the nodes are on the circle.
+
+    Args:
+        radius: Radius [m].
+        length: Length [m].
+        ends: `clamped`: the two end rings never move; `guided`: they stay in their planes and are free in these, as
+            those of a part of a long tube; `free`: nothing holds them.
+        element_size: Length of the cells' sides [m]; or
+        elements: About how many triangles, in the modelled part.
+        symmetry: 'half' keeps x >= 0, 'quarter' x >= 0 and y >= 0.
+
+    Returns:
+        The sheet; nodes run along z first.
+
+    Raises:
+        InputError: A number is out of range, or not just one of `element_size` and `elements` is given.
+    """
+    parts = _parts(symmetry)
+    radius, length = as_length("parison.radius", radius), as_length("parison.length", length)
+    if ends not in ("clamped", "guided", "free"):
+        raise InputError("is no kind of ends", "use clamped, guided or free", "parison.ends", ends)
+    arc = 2.0 * math.pi * radius / parts
+    check_resolution(element_size, elements, largest=min(arc, length))
+    around, along = grids.cell_counts([arc, length], element_size, elements)
+    # Diagonals alternate: a closed ring has an even number of cells, and between clamped ends none is cut off.
+    around = max(around + around % 2, 4) if symmetry == "none" else max(around, 2)
+    along += along % 2
+    check_count(2 * around * along, element_size)
+
+    turn = 2.0 * math.pi / parts * (np.arange(around + 1) / around) - (0.5 * math.pi if symmetry == "half" else 0.0)
+    x, y = radius * np.cos(turn), radius * np.sin(turn)
+    if symmetry != "none":
+        x[-1] = 0.0
+        (x if symmetry == "half" else y)[0] = 0.0
+    triangles, heights = grids.union_jack(around, along), length * (np.arange(along + 1) / along)
+    if symmetry == "none":
+        x, y, triangles = x[:-1], y[:-1], triangles % (around * (along + 1))
+    positions = np.stack([np.repeat(x, along + 1), np.repeat(y, along + 1), np.tile(heights, len(x))], axis=1)
+    at_end = (positions[:, 2] == 0.0) | (positions[:, 2] == length)
+    sheet = _sheet(positions, triangles, at_end & (ends == "clamped"), symmetry)
+    sheet.fixed[:, 2] |= at_end & (ends == "guided")
+    return replace(sheet, snap=lambda middles, _, __: _scale_to_cylinder(middles, radius))
+
+
+def _scale_to_cylinder(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    """Points (n, 3) [m] moved to a distance from the z axis."""
+    factor = radius / np.linalg.norm(points[:, :2], axis=1)
+    return points * np.stack([factor, factor, np.ones(len(points))], axis=1)
 
 
 def bottle_half(

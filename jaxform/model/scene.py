@@ -40,6 +40,8 @@ class Parison:
         clamped: Nodes that never move (n_node,).
         fixed: Components that never move (n_node, 3), on symmetry planes.
         temperature: Initial temperature at the nodes (n_node,) [degC]; None where nothing needs it.
+        pre_stretch: Stretches along x and y (2,) that the flat sheet has in its initial positions; its thickness is
+            that before. None where the initial sheet is free of stress.
     """
 
     positions: jax.Array
@@ -48,6 +50,12 @@ class Parison:
     clamped: jax.Array
     fixed: jax.Array
     temperature: jax.Array | None = None
+    pre_stretch: jax.Array | None = None
+
+    def unstretched(self, positions: ArrayLike) -> np.ndarray:
+        """Positions (n, 3) [m] of initial positions (n, 3) [m] before the pre-stretch; on the host."""
+        places = np.asarray(positions, float)
+        return places if self.pre_stretch is None else places / np.append(np.asarray(self.pre_stretch, float), 1.0)
 
 
 @pytree
@@ -57,6 +65,7 @@ class Solver:
     Attributes:
         end_time: End of the simulation [s].
         damping: Mass-proportional damping [1/s], rho h0 (a + damping v) = f; None leaves the term out.
+        gravity: Acceleration of gravity (3,) [m/s^2]; None leaves the term out.
         safety: Fraction of the stable step that is taken.
         skip_stuck: Whether elements with all nodes in contact are removed from the active set.
         skip_far: Whether contact is tested only for nodes that can reach the mold within a window.
@@ -69,6 +78,7 @@ class Solver:
 
     end_time: jax.Array
     damping: jax.Array | None = None
+    gravity: jax.Array | None = None
     safety: jax.Array | float = 0.9
     skip_stuck: bool = static(default=True)
     skip_far: bool = static(default=True)
@@ -210,7 +220,7 @@ class Scene:
 
     def pushes(self) -> np.ndarray:
         """Sampled pressures [Pa] of the process, which show the magnitude and sign of its push; on the host."""
-        return sample_pressures(self.pressure, self.solver, self.parison)
+        return sample_pressures(self.pressure, self.solver, self.parison, self.material)
 
     def strongest_push(self) -> float:
         """The pressure of the largest magnitude [Pa], with its sign; on the host."""
@@ -241,12 +251,22 @@ class Scene:
         return [reason for reason, holds in parts.items() if holds]
 
 
-def sample_pressures(pressure: Loading, solver: Solver, parison: Parison) -> np.ndarray:
-    """The pressures [Pa] of `Scene.pushes`, from the parts of a scene."""
+def sample_pressures(pressure: Loading, solver: Solver, parison: Parison, material: Law) -> np.ndarray:
+    """The pressures [Pa] of `Scene.pushes`, from the parts of a scene; that of the sheet's weight is added."""
     volume = 0.0
     if pressure.follows_volume:
         volume = volumes.enclosed_volume(np.asarray(parison.positions, float), np.asarray(parison.triangles))
-    return pressure.pushes(float(solver.end_time), volume)
+    pushes = pressure.pushes(float(solver.end_time), volume)
+    return pushes if solver.gravity is None else pushes + _weight_pressure(solver.gravity, parison, material)
+
+
+def _weight_pressure(gravity: jax.Array, parison: Parison, material: Law) -> float:
+    """The pressure [Pa] that pushes a flat sheet as its weight does."""
+    corners = np.asarray(parison.positions, float)[np.asarray(parison.triangles)]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(0)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    weight = np.mean(np.asarray(material.density, float)) * np.mean(np.asarray(parison.thickness, float))
+    return float(weight * np.asarray(gravity, float) @ normals / area)
 
 
 def make_parison(
@@ -256,6 +276,7 @@ def make_parison(
     clamped: np.ndarray,
     fixed: np.ndarray | None = None,
     temperature: ArrayLike | None = None,
+    pre_stretch: ArrayLike | None = None,
 ) -> Parison:
     """A parison from positions (n_node, 3) [m], triangles (n_element, 3) and clamped nodes (n_node,).
 
@@ -266,11 +287,17 @@ def make_parison(
         clamped: Mask of the nodes that never move.
         fixed: Mask (n_node, 3) of components that never move, for symmetry planes; none by default.
         temperature: Temperature of the sheet [degC], a number or (n_node,); None if the material does not depend on it.
+        pre_stretch: Stretches along x and y (2,) of a sheet in a plane z = const, which is stretched from the origin
+            before it is clamped; positions and thickness are those before.
 
     Raises:
-        InputError: If a thickness is not a positive finite number, or thickness or temperature do not fit the mesh.
+        InputError: If a thickness is not a positive finite number, or thickness or temperature do not fit the mesh; if
+            a pre-stretch is below 1, or the sheet is not flat.
     """
     count = len(positions)
+    stretches = None if pre_stretch is None else _pre_stretch(pre_stretch, np.asarray(positions, float))
+    if stretches is not None:
+        positions = np.asarray(positions, float) * np.append(stretches, 1.0)
     return Parison(
         positions=as_real(positions),
         triangles=as_index(triangles),
@@ -278,7 +305,19 @@ def make_parison(
         clamped=jnp.asarray(clamped, bool),
         fixed=jnp.zeros((count, 3), bool) if fixed is None else jnp.asarray(fixed, bool),
         temperature=None if temperature is None else _nodal("parison.temperature", temperature, count),
+        pre_stretch=None if stretches is None else as_real(stretches),
     )
+
+
+def _pre_stretch(given: ArrayLike, positions: np.ndarray) -> np.ndarray:
+    """Stretches along x and y (2,), checked."""
+    key = "parison.pre_stretch"
+    values = as_numbers(key, given)
+    require(values.shape == (2,), "is no pair of stretches", key, np.asarray(given).tolist(), "give [along x, along y]")
+    check(key, values)
+    flat = np.ptp(positions[:, 2]) <= 1e-9 * np.ptp(positions, axis=0).max()
+    require(flat, "stretches a sheet that is not flat", key, values.tolist(), "give a sheet in a plane z = const")
+    return np.asarray(values, float)
 
 
 def _nodal(key: str, given: ArrayLike, count: int) -> jax.Array:
@@ -294,6 +333,7 @@ def make_solver(
     *,
     end_time: float,
     damping: float | None = None,
+    gravity: ArrayLike | None = None,
     safety: float = 0.9,
     quasi_static: bool = False,
     max_steps: int = MOST_STEPS,
@@ -308,7 +348,19 @@ def make_solver(
         if value is not None:
             check_one(f"solver.{name}", value)
     damped = None if damping is None else as_real(damping)
-    return Solver(as_real(end_time), damped, as_real(safety), quasi_static=bool(quasi_static), max_steps=int(max_steps))
+    weighs = None if gravity is None else as_numbers("solver.gravity", gravity)
+    if weighs is not None:
+        remedy = "give three numbers [m/s^2], such as [0, 0, -9.81]"
+        require(weighs.shape == (3,), "is no vector", "solver.gravity", np.asarray(gravity).tolist(), remedy)
+        check("solver.gravity", weighs)
+    return Solver(
+        end_time=as_real(end_time),
+        damping=damped,
+        gravity=None if weighs is None else as_real(weighs),
+        safety=as_real(safety),
+        quasi_static=bool(quasi_static),
+        max_steps=int(max_steps),
+    )
 
 
 def make_refinement(
@@ -367,7 +419,7 @@ def make_refinement(
     )
 
 
-def require(good: bool, problem: str, key: str, value: Any) -> None:
-    """Raises InputError about a number out of its range unless it is good."""
+def require(good: bool, problem: str, key: str, value: Any, remedy: str = "give a number in that range") -> None:
+    """Raises InputError about a value unless it is good."""
     if not good:
-        raise InputError(problem, "give a number in that range", key, value)
+        raise InputError(problem, remedy, key, value)

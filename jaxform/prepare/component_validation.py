@@ -18,7 +18,7 @@ from jaxform.loads import Interval, Loading, first_pressure, next_pressure
 from jaxform.materials import Cooling, Law, Modes, Shift
 from jaxform.mesh import bisection
 from jaxform.model.field import Field
-from jaxform.model.scene import Parison, Solver
+from jaxform.model.scene import Parison, Refinement, Solver
 from jaxform.tools.mold import Mold
 
 _RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
@@ -265,3 +265,11 @@ def _shapes(key: str, function: Any, *arguments: Any) -> Any:
     except (TypeError, ValueError, AttributeError) as error:
         reason = str(error).strip().split("\n")[0]
         raise InputError(f"cannot be traced by JAX ({reason})", "use jax.numpy, and return one array", key) from error
+
+
+def check_weight(solver: Solver, refinement: Refinement | None) -> None:
+    """Raises InputError where gravity would act on the added mass of mass scaling."""
+    if solver.gravity is None or refinement is None or not int(refinement.mass_scaling_levels):
+        return
+    remedy = "leave out refinement.mass_scaling_levels, or solver.gravity"
+    raise InputError("would act on the mass that mass scaling adds", remedy, "solver.gravity")

@@ -51,7 +51,7 @@ def build_hierarchy(parison: Parison, refinement: Refinement) -> tuple[bisection
         for values in (parison.thickness, parison.temperature)
     )
     assert thickness is not None
-    return forest, extend_parison(forest, thickness, temperature)
+    return forest, dataclasses.replace(extend_parison(forest, thickness, temperature), pre_stretch=parison.pre_stretch)
 
 
 def extend_parison(
@@ -69,14 +69,15 @@ def pack_forest(
     mobility: jax.Array,
     bend: Bend | None,
     fine: np.ndarray | None,
+    rest: np.ndarray,
 ) -> BisectionHierarchy:
-    """The forest as the program needs it."""
-    inverse, area = volumes.reference_metric(forest.positions, forest.triangles)
+    """The forest as the program needs it; its nodes are at `rest` (n_node, 3) [m] where the sheet has no stress."""
+    inverse, area = volumes.reference_metric(rest, forest.triangles)
     owner = np.zeros(len(forest.positions), np.int32)
     inner = np.flatnonzero(forest.middle >= 0)[::-1]
     owner[forest.middle[inner]] = inner
     first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
-    bound = as_real(volumes.shape_bound(forest.positions, forest.triangles))
+    bound = as_real(volumes.shape_bound(rest, forest.triangles))
     heavier = jnp.ones_like(bound)
     if refinement.mass_scaling_levels:
         unscaled = forest.level() <= refinement.deepest - refinement.mass_scaling_levels

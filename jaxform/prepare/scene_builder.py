@@ -125,6 +125,7 @@ def build_scene(
     mold, refinement = cast_to_precision(mold), cast_to_precision(refinement)
     check_part(part, None if mold is None else len(mold.triangles))
     pressure, count = component_validation.validate_loading(pressure), len(parison.positions)
+    component_validation.check_weight(solver, refinement)
     if refinement is not None and forest is None:
         forest, parison = build_hierarchy(parison, refinement)
     material = component_validation.validate_law(material, count, forest)
@@ -141,14 +142,15 @@ def build_scene(
         component_validation.check_motion(mold, parison)
         grid = _search_grid(mold, positions, triangles, store)
         initial_contact.check_start(parison, triangles, mold, grid)
-        pushes = sample_pressures(pressure, solver, parison)
+        pushes = sample_pressures(pressure, solver, parison, material)
         parison, in_contact = _place_on_mold(
             parison, triangles if forest is None else forest.triangles, pushes, mold, grid
         )
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)
     sheet = _reference_sheet(parison, pressure)
-    bound = as_real(volumes.shape_bound(positions, triangles))
+    rest = parison.unstretched(positions)
+    bound = as_real(volumes.shape_bound(rest, triangles))
     held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
     mobility, grown = as_real(~held.T), None
     rim = moving_rim(positions, triangles, held, np.asarray(sheet.origin), forest)
@@ -161,12 +163,15 @@ def build_scene(
             else initial_contact.find_initial_bisections(forest, in_contact, refinement, bend, grid)
         )
         refinement = reserve_capacity(refinement, forest, fine)
-        grown = pack_forest(forest, refinement, sheet, mobility, bend, fine)
+        rest = parison.unstretched(forest.positions)
+        grown = pack_forest(forest, refinement, sheet, mobility, bend, fine, rest)
         bound = grown.bound
     cold, change = component_validation.coldest_temperature(parison, cooling, solver, material)
     law = material.at(cold)
     steep = stiffens_steeply(law)
-    expected = expected_stretch(parison, law, sample_pressures(pressure, solver, parison), mold) if steep else None
+    expected = (
+        expected_stretch(parison, law, sample_pressures(pressure, solver, parison, material), mold) if steep else None
+    )
     planned = plan_windows(bound, law, solver, expected)
     if steep and refinement is not None:
         # Its windows do not become longer.
@@ -176,7 +181,7 @@ def build_scene(
     longest = longest_window(planned, frames, steep=steep)
     tables = Precomputed(
         sheet=sheet,
-        assembly=_assembly(positions, triangles, refinement),
+        assembly=_assembly(parison.unstretched(positions), triangles, refinement),
         bound=bound,
         mobility=mobility,
         size=as_real(np.abs(positions).max()),
@@ -257,7 +262,7 @@ def _place_on_mold(
 
 def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:
     triangles = np.asarray(parison.triangles)
-    inverse, area = volumes.reference_metric(np.asarray(parison.positions, float), triangles)
+    inverse, area = volumes.reference_metric(parison.unstretched(parison.positions), triangles)
     # A component that only a symmetry plane fixes defines where that plane is; the volume is counted from there.
     on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
     places = np.asarray(parison.positions)

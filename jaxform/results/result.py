@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.pytree import abbreviate, marked_field_names, pytree, row_count
+from jaxform.core.pytree import abbreviate, as_real, marked_field_names, pytree, row_count
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import FieldRule
 from jaxform.model.scene import Parison, Scene, make_parison
@@ -43,6 +43,8 @@ class Energy:
         kinetic: Kinetic energy at the end.
         external_work: Pressure forces times nodal displacements: the sum of P dV, unless an open rim moves.
         tool_work: Work of the moving mold.
+        gravity_work: Work of gravity.
+        pre_stretch_work: Strain energy of the pre-stretched sheet at the start.
         damping_loss: Work done against damping.
         contact_loss: Kinetic energy of the nodes when they stuck.
         refinement_loss: Strain and kinetic energy that new nodes took away.
@@ -58,6 +60,8 @@ class Energy:
     kinetic: jax.Array
     external_work: jax.Array
     tool_work: jax.Array
+    gravity_work: jax.Array
+    pre_stretch_work: jax.Array
     damping_loss: jax.Array = dataclasses.field(metadata=LOSS)
     contact_loss: jax.Array = dataclasses.field(metadata=LOSS)
     refinement_loss: jax.Array = dataclasses.field(metadata=LOSS)
@@ -80,8 +84,8 @@ class Energy:
 
     @property
     def work(self) -> jax.Array:
-        """Work done on the sheet by the pressure and by the moving mold."""
-        return self.external_work + self.tool_work
+        """Work done on the sheet by pressure, moving mold, gravity and pre-stretch."""
+        return self.external_work + self.tool_work + self.gravity_work + self.pre_stretch_work
 
     @property
     @jax.jit
@@ -275,9 +279,9 @@ def make_result(
             strain=strain_energy(state, scene, now),
             kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
             external_work=state.account.external_work + last_work(state, scene, volume),
-            tool_work=jnp.zeros_like(state.time)
-            if state.account.total_tool_work is None
-            else state.account.total_tool_work,
+            tool_work=_or_zero(state.account.total_tool_work),
+            gravity_work=_or_zero(state.account.gravity_work),
+            pre_stretch_work=_or_zero(state.account.pre_stretch_work),
             **(dict.fromkeys(("viscous_loss", "cooling_loss"), jnp.zeros_like(state.time)) | state.account.losses()),
             kinetic_peak=state.account.kinetic_peak,
             peak_work=jax.lax.stop_gradient(state.account.peak_work),
@@ -292,6 +296,10 @@ def make_result(
         schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
         temperature=None if change is None else nodal(change, 0.0) + jnp.asarray(scene.parison.temperature),
     )
+
+
+def _or_zero(term: jax.Array | None) -> jax.Array:
+    return as_real(0.0) if term is None else term
 
 
 def _change_of_temperature(

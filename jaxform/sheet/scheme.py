@@ -53,6 +53,11 @@ def velocity_steps(timing: WindowTiming, count: int) -> jax.Array:
     return jnp.where(jnp.arange(count) == 0, first, timing.length)
 
 
+def add_gravity(nodal: Any, mass: jax.Array, gravity: jax.Array | None) -> Any:
+    """Nodal forces, three times (n,) [N], with the weight of the nodes' mass (n,) [kg] where gravity (3,) acts."""
+    return nodal if gravity is None else vector(f + mass * g for f, g in zip(nodal, gravity, strict=True))
+
+
 def update_velocity(
     nodal: Any,
     velocities: Any,
@@ -123,7 +128,7 @@ def synchronize_velocity(
     pressed = present_pressure(state, scene, volume)
     load = Load(packed.nodes.positions, active.thickness, pressed.pressure, *active.response(scene.material, memory))
     nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
-    nodal, _ = force(load, active.packed.elements)
+    nodal = add_gravity(force(load, active.packed.elements)[0], active.mass, scene.solver.gravity)
     velocities, losses = update_velocity(
         nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping
     )

@@ -104,6 +104,8 @@ class EnergyBalance:
         tool_work: Done by the mold on what it holds, up to the last force; None where it rests.
         tool_last: What the force of now adds to that, at the last window's end; None where it rests.
         rim: Volume that moving rims swept since the last step's begin [m^3]; None where there are none.
+        gravity_work: Done by gravity on the nodes; None where none acts.
+        pre_stretch_work: Strain energy of the pre-stretched sheet when the run begins; None where it has no stress.
     """
 
     volume: jax.Array
@@ -121,6 +123,8 @@ class EnergyBalance:
     tool_work: jax.Array | None = None
     tool_last: jax.Array | None = None
     rim: jax.Array | None = None
+    gravity_work: jax.Array | None = None
+    pre_stretch_work: jax.Array | None = None
 
     def swept_volume(self, volume: jax.Array) -> jax.Array:
         """Volume swept by the sheet since the begin of the last step [m^3], with the present enclosed volume [m^3]."""
@@ -134,8 +138,9 @@ class EnergyBalance:
 
     @property
     def work(self) -> jax.Array:
-        """Done on the sheet so far, by pressure and tool [J]."""
-        return self.external_work if self.total_tool_work is None else self.external_work + self.total_tool_work
+        """Done on the sheet so far, by pressure, tool, gravity and pre-stretch [J]."""
+        others = self.total_tool_work, self.gravity_work, self.pre_stretch_work
+        return sum((term for term in others if term is not None), self.external_work)
 
     def losses(self) -> dict[str, jax.Array]:
         """The terms by which energy left, by name."""
@@ -281,8 +286,8 @@ def differentiable_leaves(state: State) -> State:
     terms = dict.fromkeys(("volume", "external_work", *state.account.losses()), True)
     if state.account.tool_work is not None:
         terms |= {"tool_work": True, "tool_last": True}
-    if state.account.rim is not None:
-        terms |= {"rim": True}
+    optional = ("rim", "gravity_work", "pre_stretch_work")
+    terms |= {name: True for name in optional if getattr(state.account, name) is not None}
     account = dataclasses.replace(none.account, **terms, load_state=pressed)
     memory = None if state.memory is None else True
     heat = None if none.heat is None else dataclasses.replace(none.heat, change=True, felt=True)

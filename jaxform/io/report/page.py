@@ -20,6 +20,8 @@ _ENERGY = {
     "viscous_loss": "viscous dissipation",
     "friction_loss": "friction",
     "tool_work": "work of tools",
+    "gravity_work": "work of gravity",
+    "pre_stretch_work": "strain energy of the pre-stretched sheet",
 }
 _WHOLE = {1: "half", 2: "a quarter", 3: "an eighth"}  # of the part is modelled, by the number of symmetry planes
 _NOTHING = "\N{EN DASH}"
@@ -153,7 +155,10 @@ def to_measure(points: Sequence[MeasuringPoint]) -> str:
 def energy(summary: Mapping[str, Any]) -> str:
     """The energy balance with a bar for each term, and its error."""
     account = summary["energy"]
-    works = [account.get("external_work"), account.get("tool_work", 0.0)]
+    works = [
+        account.get("external_work"),
+        *(account.get(name, 0.0) for name in ("tool_work", "gravity_work", "pre_stretch_work")),
+    ]
     total = abs(sum(work for work in works if isinstance(work, int | float)))
     terms = [("work of the pressure", works[0])]
     terms += [(words, account[key]) for key, words in _ENERGY.items() if account.get(key)]

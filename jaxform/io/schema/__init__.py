@@ -7,7 +7,16 @@ keys means: the pages of the reference are made of it.
 
 from jaxform.io.schema.material import Material, MaterialTable, Viscous, material_table, material_tables
 from jaxform.io.schema.mold import BottleHalfMold, BoxInsertMold, FileMold, Mold, RevolvedMold
-from jaxform.io.schema.parison import BottleHalfParison, Disc, FileParison, Outline, Parison, RectangleTable, Sphere
+from jaxform.io.schema.parison import (
+    BottleHalfParison,
+    Disc,
+    FileParison,
+    Outline,
+    Parison,
+    RectangleTable,
+    Sphere,
+    Tube,
+)
 from jaxform.io.schema.quantities import (
     ElementSize,
     FieldReference,
@@ -95,6 +104,7 @@ __all__ = [
     "ThicknessFieldTable",
     "ThicknessProfileTable",
     "TrimTable",
+    "Tube",
     "UniformTable",
     "Variable",
     "Viscous",

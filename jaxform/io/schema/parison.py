@@ -8,8 +8,10 @@ from pydantic import AfterValidator, Field, Tag, field_validator, model_validato
 
 from jaxform.core.errors import InputError
 from jaxform.io.schema.quantities import Count, ElementSize, Point, ProfileTable, Temperature, Thickness
-from jaxform.io.validation import Length, Positive, Table, choice, validation_error
+from jaxform.io.validation import Length, Positive, Table, choice, declared_range, validation_error
 from jaxform.mesh.shapes import parse_plane
+
+Stretch = Annotated[float, declared_range("parison.pre_stretch")]
 
 
 def _given_elsewhere(given: Any) -> Any:
@@ -17,6 +19,9 @@ def _given_elsewhere(given: Any) -> Any:
         problem = "only a parison from a file has fields"
         raise validation_error(problem, "give {file, field}, a number or a profile", value=given)
     return given
+
+
+PreStretch = Annotated[list[Stretch], Field(min_length=2, max_length=2)]
 
 
 class _BuiltIn(Table):
@@ -45,11 +50,14 @@ class Disc(_BuiltIn):
         radius: Radius of the sheet [m].
         element_size: Side of a triangle [m], or a profile of it along the radius.
         symmetry: Fraction of the sheet that is simulated; the cut planes are x = 0, and y = 0 of a quarter.
+        pre_stretch: Stretches [along x, along y] of the flat sheet before it is clamped, from the origin; its shape and
+            thickness are those before. None by default.
     """
 
     shape: Literal["disc"]
     radius: Length
     element_size: ElementSize | None = None
+    pre_stretch: PreStretch | None = None
 
     @field_validator("element_size")
     @classmethod
@@ -66,11 +74,14 @@ class RectangleTable(_BuiltIn):
         shape: The kind of sheet.
         size: Sides along x and y [m].
         element_size: Side of a triangle [m].
+        pre_stretch: Stretches [along x, along y] of the flat sheet before it is clamped, from the origin; its shape and
+            thickness are those before. None by default.
     """
 
     shape: Literal["rectangle"]
     size: Annotated[list[Length], Field(min_length=2, max_length=2)]
     element_size: Length | None = None
+    pre_stretch: PreStretch | None = None
 
 
 class Sphere(_BuiltIn):
@@ -84,6 +95,24 @@ class Sphere(_BuiltIn):
 
     shape: Literal["sphere"]
     radius: Length
+    element_size: Length | None = None
+
+
+class Tube(_BuiltIn):
+    """A round tube about the z axis, from z = 0 to its length; pressure acts from inside.
+
+    Attributes:
+        shape: The kind of sheet.
+        radius: Radius of the tube [m].
+        length: Its length [m].
+        ends: Whether the end rings are `clamped`, `guided` (they stay in their planes) or `free`.
+        element_size: Side of a triangle [m].
+    """
+
+    shape: Literal["tube"]
+    radius: Length
+    length: Length
+    ends: Literal["clamped", "guided", "free"] = "clamped"
     element_size: Length | None = None
 
 
@@ -129,6 +158,8 @@ class Outline(Table):
         planes: Symmetry planes: `x` where the polygon is cut at x = 0.
         thickness: Initial thickness [m].
         temperature: Temperature of the sheet [degC], where the material has a time-temperature shift.
+        pre_stretch: Stretches [along x, along y] of the flat sheet before it is clamped, from the origin; its shape and
+            thickness are those before. None by default.
     """
 
     shape: Literal["outline"]
@@ -139,6 +170,7 @@ class Outline(Table):
     planes: list[Literal["x", "y"]] = Field(default_factory=list)
     thickness: Thickness
     temperature: Temperature | None = None
+    pre_stretch: PreStretch | None = None
 
     _no_own_field = field_validator("thickness", "temperature")(_given_elsewhere)
 
@@ -175,6 +207,8 @@ class FileParison(Table):
         planes: Symmetry planes: `x` where the mesh is cut at x = 0, `x=0.15` where it is at 0.15 m.
         thickness: Initial thickness [m]; `field:NAME` is a field of the mesh itself.
         temperature: Temperature of the sheet [degC], where the material has a time-temperature shift.
+        pre_stretch: Stretches [along x, along y] of the flat sheet before it is clamped, from the origin; its shape and
+            thickness are those before. None by default.
     """
 
     shape: Literal["file"]
@@ -185,14 +219,16 @@ class FileParison(Table):
     planes: list[Annotated[str, AfterValidator(_plane)]] = Field(default_factory=list)
     thickness: Thickness
     temperature: Temperature | None = None
+    pre_stretch: PreStretch | None = None
 
 
 Parison = Annotated[
     Annotated[Disc, Tag("<disc>")]
     | Annotated[RectangleTable, Tag("<rectangle>")]
     | Annotated[Sphere, Tag("<sphere>")]
+    | Annotated[Tube, Tag("<tube>")]
     | Annotated[BottleHalfParison, Tag("<bottle-half>")]
     | Annotated[Outline, Tag("<outline>")]
     | Annotated[FileParison, Tag("<file>")],
-    *choice("shape", ["disc", "rectangle", "sphere", "bottle-half", "outline", "file"], later=["tube"]),
+    *choice("shape", ["disc", "rectangle", "sphere", "tube", "bottle-half", "outline", "file"]),
 ]

@@ -97,12 +97,16 @@ class RefinementTable(Table):
     elements: Annotated[int, declared_range("refinement.elements")] | None = None
 
 
+Gravity = Annotated[float, declared_range("solver.gravity")]
+
+
 class SolverTable(Table):
     """Time integration; `quasi_static` says that the process is meant to be slow: a quasi-static error is warned of.
 
     Attributes:
         end_time: End of the simulation [s]; it ends earlier when nothing can move any more.
         damping: Mass-proportional damping [1/s]; none by default.
+        gravity: Acceleration of gravity [x, y, z] [m/s^2]; none by default.
         safety: Factor on the longest stable step.
         quasi_static: Whether a slow process is meant: the run then warns where inertia or damping shows.
         max_steps: Limit on the steps of a run.
@@ -110,6 +114,7 @@ class SolverTable(Table):
 
     end_time: Annotated[float, declared_range("solver.end_time")]
     damping: Annotated[float, declared_range("solver.damping")] | None = None
+    gravity: Annotated[list[Gravity], Field(min_length=3, max_length=3)] | None = None
     safety: Annotated[float, declared_range("solver.safety")] = 0.9
     quasi_static: bool = False
     max_steps: Annotated[int, declared_range("solver.max_steps")] = MOST_STEPS
@@ -161,7 +166,7 @@ class SceneFile(Table):
         description: One line for the list of scenes.
         parison: The sheet.
         material: The material model.
-        pressure: The pressure history.
+        pressure: The pressure history; may be absent where gravity or a moving mold does the work.
         mold: The mold; without it the sheet is inflated freely.
         part: Selection of the part from the formed sheet; without it, all of it.
         refinement: Adaptive refinement; without it, the mesh does not change.
@@ -174,10 +179,18 @@ class SceneFile(Table):
     description: str = ""
     parison: Parison
     material: Material
-    pressure: PressureTable
+    pressure: PressureTable | None = None
     mold: Mold | None = None
     part: PartTable | None = None
     refinement: RefinementTable | None = None
     cooling: CoolingTable | None = None
     solver: SolverTable
     output: Output = Output()
+
+    @model_validator(mode="after")
+    def _check_drive(self) -> SceneFile:
+        moves = self.mold is not None and self.mold.motion is not None
+        if self.pressure is None and self.solver.gravity is None and not moves:
+            remedy = "give [pressure], solver.gravity or [mold.motion]"
+            raise validation_error("is missing, and nothing else moves the sheet", remedy, "pressure", None)
+        return self
