@@ -72,8 +72,8 @@ def test_a_pre_stretched_sheet_without_loads_stays_as_it_is() -> None:
 
 
 def test_pre_stretch_is_that_of_a_refined_sheet_too() -> None:
-    limits = jaxform.make_refinement(angle=4.0, interval=64, max_level=2, elements=400)
-    plain, refined = (jaxform.run(_sag(0.5, 1.1, 60, refinement=each)) for each in (None, limits))
+    limits = jaxform.make_refinement(angle=1.5, interval=64, max_level=2, elements=400)
+    plain, refined = (jaxform.run(_sag(2.0, 1.1, 60, refinement=each)) for each in (None, limits))
     assert len(refined.triangles[np.asarray(refined.used)]) > len(plain.triangles)
     np.testing.assert_allclose(refined.mass, plain.mass, rtol=1e-12)
     np.testing.assert_allclose(refined.energy.pre_stretch_work, plain.energy.pre_stretch_work, rtol=1e-12)
