@@ -35,7 +35,7 @@ def check_surface(mesh: Mesh) -> None:
         problem = f"{len(many)} edges belong to more than two triangles, the first {_place(mesh, many[0])}"
         raise InputError(problem, "a parison is one surface: remove inner walls and copies", key="parison.path")
     if len(against):
-        problem = f"triangles of opposite orientation at {len(against)} edges, the first {_place(mesh, against[0])}"
+        problem = f"inverted triangles at {len(against)} edges, the first {_place(mesh, against[0])}"
         raise InputError(problem, "orient the triangles so that all normals agree", key="parison.path")
 
 

@@ -428,7 +428,7 @@ def test_faults_of_the_surface():
     plate = disc(radius=0.1, elements=100)
     turned = plate.triangles.copy()
     turned[7] = turned[7, ::-1]
-    assert "opposite orientation" in assert_rejected("parison.path", Mesh(plate.positions, turned))
+    assert "inverted" in assert_rejected("parison.path", Mesh(plate.positions, turned))
     fin = np.array([[0, 1, len(plate.positions)]])
     positions = np.concatenate([plate.positions, [[0, 0, 1.0]]])
     finned = Mesh(positions, np.concatenate([plate.triangles, fin]).astype(np.int32))
