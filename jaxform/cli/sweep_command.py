@@ -72,7 +72,7 @@ def sweep(arguments: argparse.Namespace) -> int:
                 found, task.function, lambda design: task.argument(design, setting), executor, kept, show
             )
         except KeyboardInterrupt:
-            words = f"interrupted; {len(kept.rows)} rows are recorded: resume with --resume"
+            words = f"interrupted; {len(records.read_rows(kept.path))} rows are recorded: resume with --resume"
             print(f"jaxform: {words}", file=sys.stderr, flush=True)
             return session.INTERRUPTED
     rows = kept.finish((design.digest, head(design)) for design in found)

@@ -64,8 +64,8 @@ def optimize_design(task: tuple[SceneDocument, Setting, SearchTables]) -> Outcom
         InputError: The scene cannot be simulated, or the search does not fit it.
     """
     document, setting, search = task
-    worker = evaluation.set_up(setting)
     before, warned = evaluation.compiled(), []
+    worker = evaluation.set_up(setting)
     model = validate(schema.StudyFile, {"scene": document.name, **search.data}, search.file)
     with evaluation.compile_once(worker, search.digest), evaluation.tell_warnings(warned.append):
         began = time.perf_counter()

@@ -165,7 +165,8 @@ def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
         InputError: The scene cannot be simulated.
     """
     document, setting = task
-    worker, before = set_up(setting), compiled()
+    before = compiled()
+    worker = set_up(setting)
     warned: list[str] = []
     with compile_once(worker, _kind(document)), tell_warnings(warned.append):
         began = time.perf_counter()

@@ -62,7 +62,7 @@ class Records:
         self._given = {_FIRST, *paths, _STATUS, *_LAST}
         self.rows: dict[str, Row] = {}
         if resume and os.path.exists(self.path):
-            self.rows = {row["digest"]: row for row in _read(self.path)}
+            self.rows = {row["digest"]: row for row in read_rows(self.path)}
         self._write(self.rows.values())
 
     def measures(self, digest: str) -> Row:
@@ -78,7 +78,7 @@ class Records:
         gone = [row for digest, row in self.rows.items() if digest not in heads]
         if gone:
             earlier = self.path.with_name(EARLIER)
-            rows = [*(_read(earlier) if os.path.exists(earlier) else []), *gone]
+            rows = [*(read_rows(earlier) if os.path.exists(earlier) else []), *gone]
             _write_table(earlier, list(dict.fromkeys(key for row in rows for key in row)), rows)
         kept = {digest: row for digest, row in self.rows.items() if digest in heads}
         self.rows = {digest: row | _texts(heads[digest]) for digest, row in kept.items()}
@@ -152,7 +152,7 @@ def _text(value: Any) -> str:
     return inline(value.item() if isinstance(value, np.generic) else value)
 
 
-def _read(path: Path) -> list[Row]:
+def read_rows(path: Path) -> list[Row]:
     """The rows of a table that was written before; a last line that was not written to its end is left out."""
     text = disk.read_text(path, disk.MOST_MESH)
     whole = text[: text.rfind("\n") + 1]

@@ -88,7 +88,7 @@ def sweep(
     if left:
         pool, own = _pool(executor, workers, len(left))
         setting = Setting(_precision(), _cache(own), this_process())
-        arguments = [(function, designs[place].document or pack_scene(given[place]), setting) for place in left]
+        arguments = [(function, _sent(designs[place], given[place]), setting) for place in left]
         try:
             for place, outcome in evaluate(call_function, arguments, pool):
                 finish(left[place], outcome)
@@ -122,6 +122,11 @@ def _designs(given: Sequence[Any], scene: str | Path | None, about: str) -> list
         else dataclasses.replace(next(made), number=place)
         for place, one in enumerate(given, 1)
     ]
+
+
+def _sent(design: Design, given: Any) -> Any:
+    """What is sent to a worker for a design: its document, or the scene that was given."""
+    return pack_scene(given) if design.document is None else design.document
 
 
 def _scene_digest(scene: Scene, about: str) -> str:

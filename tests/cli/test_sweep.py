@@ -171,6 +171,56 @@ def test_a_client_that_is_killed_goes_on_where_it_was(folder: Path, swept: Path)
     assert _without_times(after) == _without_times(_rows(swept))
 
 
+def test_an_interruption_says_how_to_go_on(folder: Path, swept: Path) -> None:
+    out = folder / "interrupted"
+    known = os.environ | {"PYTHONPATH": str(ROOT)}
+    line = [sys.executable, "-m", "jaxform.cli", *_arguments(folder, out, "--workers", "1")]
+    with subprocess.Popen(line, env=known, stderr=subprocess.PIPE, text=True, start_new_session=True) as client:
+        while not (out / "results.csv").exists() or len(_rows(out)) < 4:
+            assert client.poll() is None
+            time.sleep(0.005)
+        os.killpg(client.pid, signal.SIGINT)
+        _, words = client.communicate(timeout=60)
+    assert client.returncode == 130
+    (said,) = words.splitlines()
+    assert said == f"jaxform: interrupted; {len(_rows(out))} rows are recorded: resume with --resume"
+
+
+def test_each_row_can_be_a_search(folder: Path, swept: Path, tmp_path: Path) -> None:
+    study = """
+scene = "scene.toml"
+[[variable]]
+kind = "thickness-field"
+bounds = [5.0e-4, 2.0e-3]
+[objective]
+kind = "target"
+thickness = 0.9e-3
+[solver]
+method = "fixed-point"
+iterations = 3
+[sweep]
+[[sweep.variable]]
+path = "mold.profile[0][1]"
+values = [0.045, 0.05]
+"""
+    (tmp_path / "scene.toml").write_text(scenes.FILE)
+    (tmp_path / "study.toml").write_text(study)
+    out = tmp_path / "out"
+    options = ["--out", str(out), "--quiet", "--workers", "1"]
+    assert command.main(["sweep", str(tmp_path / "study.toml"), "--optimize", *options]) == 0
+    rows = _rows(out)
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+    for row in rows:
+        assert 0 < float(row["thickness_rms_error"]) < 0.05 and float(row["objective"]) > 0
+        found = json.loads((out / row["folder"] / "design.json").read_text())
+        assert found["after"]["thickness_rms_error"] == float(row["thickness_rms_error"])
+        assert found["before"]["thickness_rms_error"] > 2 * found["after"]["thickness_rms_error"]
+        assert (out / row["folder"] / "best.toml").exists()
+    # Without a search it is another design: nothing of the one is taken for the other.
+    assert command.main(["sweep", str(tmp_path / "study.toml"), "--resume", *options]) == 0
+    assert _facts(out)["computed"] == 2
+
+
 def test_a_table_that_has_changed_is_gone_on_with(folder: Path, swept: Path, tmp_path: Path) -> None:
     lines = (folder / "table.csv").read_text().splitlines()
     (tmp_path / "scene.toml").write_text(scenes.FILE)
@@ -210,6 +260,7 @@ def test_the_pictures_show_something_and_a_click_opens_the_part(swept: Path) -> 
         (["table.csv", "--scene", "dish", "--out", "x", "--workers", "0"], "no number of processes"),
         (["table.csv", "--scene", "scene.toml", "--out", "x", "--optimize"], "no objective for --optimize"),
         (["dish-uniform-wall", "--out", "x"], "sweep: is missing"),
+        (["table.csv", "--scene", "scene.toml", "--out", "x", "--scheduler", "tcp://127.0.0.1:9"], "--scheduler"),
         (["table.csv", "--scene", "scene.toml", "--out", "."], "exists and is not empty"),
     ],
 )
