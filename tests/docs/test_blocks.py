@@ -48,8 +48,8 @@ print(json.dumps([counts[::2], counts[1::2]]))
 """
 
 
-def _run(blocks: list[str], folder: Path, *, quickly: bool = True) -> list[list[int]]:
-    """How many programs JAX compiles for each block, the first time and the second, in a process of its own.
+def _run(blocks: list[str], folder: Path, *, quickly: bool = True) -> tuple[list[list[int]], list[str]]:
+    """The programs that JAX compiles for each block, the first time and the second, in a new process; and its output.
 
     Quickly: it imports what compiles for `run` first, to compile as the tests do, whose programs it then finds.
     """
@@ -65,7 +65,8 @@ def _run(blocks: list[str], folder: Path, *, quickly: bool = True) -> list[list[
         command, cwd=folder, env=known, input=given, capture_output=True, text=True, timeout=900, check=False
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    return json.loads(done.stdout.splitlines()[-1])
+    *printed, counts = done.stdout.splitlines()
+    return json.loads(counts), printed
 
 
 @pytest.fixture
@@ -81,8 +82,11 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("page", PAGES)
 def test_the_python_of_a_page_runs_and_compiles_nothing_the_second_time(page: str, folder: Path) -> None:
     blocks = _BLOCK.findall((ROOT / page).read_text())
-    first, second = _run(blocks, folder)
+    (first, second), printed = _run(blocks, folder)
     assert second == [0] * len(blocks), first
+    if page == "README.md":
+        before, after = map(float, printed[0].split())
+        assert after < before
 
 
 _JITTED = """
@@ -106,5 +110,5 @@ _CALL = "assert float(jitted(jnp.asarray(1.0))) > 0.0"
 
 def test_a_jitted_script_compiles_once_though_simulate_is_first_used_inside_the_trace(tmp_path: Path) -> None:
     """No module that is imported then may add to what JAX compares when it looks for a traced function."""
-    (_, first), (_, second) = _run([_JITTED, _CALL], tmp_path, quickly=False)
+    ((_, first), (_, second)), _ = _run([_JITTED, _CALL], tmp_path, quickly=False)
     assert first > 0 and second == 0

@@ -1,11 +1,9 @@
-"""Scenes to files and back, fields between meshes, and the README's own example."""
+"""Scenes to files and back, and fields between meshes."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -15,8 +13,6 @@ from jaxform import shapes
 from jaxform.io import files, geometry, output, scene_rewriting
 from jaxform.mesh import meshes
 from tests import scenes
-
-ROOT = Path(__file__).parents[2]
 
 
 def test_a_scene_written_with_changes_runs_the_same_from_its_new_folder(tmp_path: Path) -> None:
@@ -91,12 +87,3 @@ def test_the_wall_of_an_own_result_is_a_target(tmp_path: Path) -> None:
     study = optimize.load_study(tmp_path / "study.toml")
     assert isinstance(study.objective, optimize.Target)
     assert float(study.objective.error(scene, result)) < 1e-12
-
-
-def test_the_example_in_the_readme_works(capsys: pytest.CaptureFixture[str]) -> None:
-    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert code is not None
-    exec(code.group(1), {})
-    before, after = map(float, capsys.readouterr().out.split())
-    assert after < before
-    assert jnp.zeros(1).dtype == np.float64

@@ -31,6 +31,12 @@ LAWS = [
 ]
 
 
+# Each law one way, and one of them in both.
+LAWS_IN_BOTH_WAYS = pytest.mark.parametrize(
+    ("law", "paired"), [(LAWS[0], False), (LAWS[1], True), (LAWS[2], False), (LAWS[2], True)]
+)
+
+
 def _case(law: Law, *, paired: bool = False, seed: int = 0) -> tuple[Load, Elements]:
     disc = shapes.disc(radius=1.0, elements=40, symmetry="quarter")
     random = np.random.default_rng(seed)
@@ -80,8 +86,7 @@ def test_the_longest_vectors_change_no_number(paired: bool) -> None:
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-17), usual, longest)
 
 
-@ONE_BY_ONE_AND_IN_PAIRS
-@pytest.mark.parametrize("law", LAWS)
+@LAWS_IN_BOTH_WAYS
 def test_internal_force_is_minus_the_slope_of_the_energy(law: Law, paired: bool) -> None:
     load, sheet = _case(law, paired=paired)
     load = load._replace(pressure=real(0.0))
@@ -111,10 +116,20 @@ def _boundary(sheet: Elements) -> np.ndarray:
     return topology.boundary_nodes(np.asarray(sheet.triangles.T)[np.asarray(sheet.area) > 0])
 
 
-@ONE_BY_ONE_AND_IN_PAIRS
-@pytest.mark.parametrize("law", LAWS)
+@LAWS_IN_BOTH_WAYS
 def test_tangent_and_cotangent_equal_those_of_the_plain_formula(law: Law, paired: bool) -> None:
-    load, sheet = _case(law, paired=paired)
+    _compare_derivatives(*_case(law, paired=paired))
+
+
+def test_tangent_and_cotangent_by_numbers_that_vary_over_the_sheet() -> None:
+    load, sheet = _case(LAWS[1], paired=True)
+    random = np.random.default_rng(4)
+    zones = {"c": random.uniform(1.0, 1.5, load.thickness.size), "alpha": random.uniform(0.1, 0.2, load.thickness.size)}
+    law = load.material.with_zones({name: jnp.asarray(values) for name, values in zones.items()})
+    _compare_derivatives(load._replace(material=law), sheet)
+
+
+def _compare_derivatives(load: Load, sheet: Elements) -> None:
     change = _random_like(load, 1)
     weights = jnp.asarray(np.random.default_rng(2).normal(size=load.positions.shape)), real(0.7)
     own, own_change = jax.jvp(lambda load: force.force(load, sheet), (load,), (change,))
