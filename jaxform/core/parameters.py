@@ -55,6 +55,9 @@ def ranged_parameter(
     return field(default=default, metadata=metadata)
 
 
+_NOUNS = {"Law": "material model", "Modes": "kind of Prony terms", "Shift": "time-temperature shift"}
+
+
 def register_part[T](
     cls: type[T], base: type, method: str, remedy: str, section: str, needed: Sequence[str] = ()
 ) -> type[T]:
@@ -62,17 +65,18 @@ def register_part[T](
 
     Args:
         cls: The class.
-        base: What it must derive from.
-        method: What it must have of its own.
-        remedy: What to do where it does not, in words.
-        section: What the path of its numbers starts with.
-        needed: Numbers that it must have.
+        base: Required base class.
+        method: Method that it must define.
+        remedy: Remedy in words if it does not.
+        section: First part of the paths of its parameters.
+        needed: Parameters that it must have.
 
     Raises:
         InputError: It derives from something else, lacks the method, or a number is not declared or missing.
     """
     if not (isinstance(cls, type) and issubclass(cls, base)) or getattr(cls, method) is getattr(base, method):
-        raise InputError(f"is not a {base.__name__.lower()}", remedy, value=getattr(cls, "__name__", str(cls)))
+        noun = _NOUNS.get(base.__name__, base.__name__.lower())
+        raise InputError(f"is not a {noun}", remedy, value=getattr(cls, "__name__", str(cls)))
     made = pytree(cls)
     declared = {each.name: each.metadata.get("range") for each in _parameter_fields(made)}
     missing = sorted(key for key, allowed in {**dict.fromkeys(needed), **declared}.items() if allowed is None)
