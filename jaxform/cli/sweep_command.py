@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import shutil
 import sys
 import tempfile
 import time
@@ -64,6 +65,8 @@ def sweep(arguments: argparse.Namespace) -> int:
     if arguments.resume and not there:
         warn_of("contains no sweep to resume: a new one is started", key="--resume", value=str(folder))
     session.open_folder(folder, arguments.force or (arguments.resume and there))
+    if not arguments.resume:
+        shutil.rmtree(folder / DESIGNS, ignore_errors=True)  # of another sweep, with --force
     (folder / DESIGNS).mkdir(exist_ok=True)
     kept = records.Records(folder, task.paths, task.measures, arguments.resume)
     with _executor(arguments, len(found)) as (executor, setting), _bar(not arguments.quiet, len(found)) as show:

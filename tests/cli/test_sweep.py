@@ -239,6 +239,10 @@ def test_a_table_that_has_changed_is_gone_on_with(folder: Path, swept: Path, tmp
     assert float(rows[2]["wall_min"]) == summary["thickness"]["min"]
     with (out / "earlier.csv").open(newline="") as file:
         assert len(list(csv.DictReader(file))) == 8
+    # Begun anew, nothing of the sweep before is left that could be taken for the new one's.
+    (tmp_path / "table.csv").write_text("\n".join(lines[:2]))
+    assert command.main(_arguments(tmp_path, out, "--workers", "1", "--force")) == 0
+    assert [path.name for path in (out / "designs").iterdir()] == ["0001"] and len(_rows(out)) == 1
 
 
 def test_the_pictures_show_something_and_a_click_opens_the_part(swept: Path) -> None:
