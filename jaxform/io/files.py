@@ -187,6 +187,7 @@ def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scen
                 gravity=solver.gravity,
                 safety=solver.safety,
                 quasi_static=solver.quasi_static,
+                self_contact=solver.self_contact,
                 max_steps=solver.max_steps,
             ),
             mold=find_mold(),

@@ -296,6 +296,7 @@ def _solver(made: Draft) -> list[str]:
         f"end_time = {_number(made.stroke_time + 1.2 * made.ramp, 3)}",
         f"damping = {_number(made.damping)}",
         "quasi_static = true  # warn if inertia or damping affects the wall",
+        *([] if made.drape is None else ["self_contact = true  # where the sheet folds, both films weld (a web)"]),
     ]
 
 

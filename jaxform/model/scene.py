@@ -73,6 +73,7 @@ class Solver:
         sharp_step: Whether the stable step is computed by Lanczos' method; else it is bounded element by element.
         quasi_static: Whether the process is meant to be slow; there is a warning if inertia or damping affects the
             wall.
+        self_contact: Whether films stick to each other that meet back to back in a fold, a web.
         max_steps: Largest number of steps of `run`.
     """
 
@@ -85,6 +86,7 @@ class Solver:
     end_early: bool = static(default=True)
     sharp_step: bool = static(default=True)
     quasi_static: bool = static(default=False)
+    self_contact: bool = static(default=False)
     max_steps: int = static(default=MOST_STEPS)
 
 
@@ -336,6 +338,7 @@ def make_solver(
     gravity: ArrayLike | None = None,
     safety: float = 0.9,
     quasi_static: bool = False,
+    self_contact: bool = False,
     max_steps: int = MOST_STEPS,
 ) -> Solver:
     """Options of the time integration; see `Solver`.
@@ -359,6 +362,7 @@ def make_solver(
         gravity=None if weighs is None else as_real(weighs),
         safety=as_real(safety),
         quasi_static=bool(quasi_static),
+        self_contact=bool(self_contact),
         max_steps=int(max_steps),
     )
 

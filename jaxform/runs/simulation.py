@@ -33,6 +33,7 @@ from jaxform.results.result import Result, make_result
 from jaxform.runs.loop import IN_MEMORY, finalize_state, latest_decisions, skip_if_full, whole_run
 from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
+from jaxform.sheet.self_contact import stick_folds_of
 from jaxform.sheet.state import Schedule, State, Status, Taken, differentiable_leaves, is_finished
 
 
@@ -141,7 +142,7 @@ def _windows(
         state, now = adjoint.apply_boundary(look)(state)
 
         def whole(state: State) -> State:
-            return adjoint.window(state, scene, now, first, schedule)
+            return adjoint.window(stick_folds_of(state, scene, now), scene, now, first, schedule)
 
         return skip_if_full(state.status, scene, whole, state, adjoint.cond_once)
 

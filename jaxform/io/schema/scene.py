@@ -109,6 +109,7 @@ class SolverTable(Table):
         gravity: Acceleration of gravity [x, y, z] [m/s^2]; none by default.
         safety: Factor on the longest stable step.
         quasi_static: Whether a slow process is meant: the run then warns where inertia or damping shows.
+        self_contact: Whether films stick to each other that meet back to back in a fold (a web), while the mold rests.
         max_steps: Limit on the steps of a run.
     """
 
@@ -117,6 +118,7 @@ class SolverTable(Table):
     gravity: Annotated[list[Gravity], Field(min_length=3, max_length=3)] | None = None
     safety: Annotated[float, declared_range("solver.safety")] = 0.9
     quasi_static: bool = False
+    self_contact: bool = False
     max_steps: Annotated[int, declared_range("solver.max_steps")] = MOST_STEPS
 
 
