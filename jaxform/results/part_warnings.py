@@ -142,10 +142,12 @@ def _warnings_of_crossing(result: Result, scene: Scene) -> list[str]:
         return []
     nodes = np.asarray(result.triangles)[found[np.argmin(_ratio(result)[found])]]
     where = format_place(np.asarray(result.positions, float)[nodes].mean(0))
+    joins = scene.solver.self_contact
+    cause = "" if joins else ", and self-contact is not simulated"
+    remedy = "" if joins else "set solver.self_contact = true, which welds the sides of a fold, "
     return [
         f"the sheet passes through itself with {len(found)} elements, at {where}: it folds there, or two of its sides "
-        "meet, and self-contact is not simulated; the wall is not reliable there; lower pressure.value, or widen "
-        "narrow places of the mold"
+        f"meet{cause}; the wall is not reliable there; {remedy}lower pressure.value, or widen narrow places of the mold"
     ]
 
 

@@ -40,7 +40,7 @@ _WORDS = {
     Status.ESCAPED: (
         "the sheet left its mold: it is outside their common bounding box by more than the size of that box"
     ),
-    Status.BURST: "the sheet passed through itself and burst: self-contact is not simulated",
+    Status.BURST: "the sheet passed through itself and burst",
     Status.INPUT: "a parameter of the scene is out of its range, so nothing was simulated",
     Status.UNBALANCED: "the run reached its end, but its energy balance misses more than 1 % of the work",
     Status.UNFILLED: "the mold is not filled",
@@ -55,7 +55,7 @@ _REMEDIES = {
     Status.REFINEMENT_OVERFLOW: "raise refinement.elements, or lower refinement.max_level",
     Status.RUNAWAY: "lower the pressure to what the sheet can carry, or add a mold",
     Status.ESCAPED: "look at sheet and mold with `jaxform check` (units, sides, holes), or lower the pressure",
-    Status.BURST: "lower the pressure, or widen narrow places of the mold",
+    Status.BURST: "lower the pressure, widen narrow places of the mold, or set solver.self_contact where it folds",
     Status.INPUT: "keep designed parameters within their range, and free of NaN",
     Status.UNBALANCED: "lower solver.safety, raise solver.damping, or raise the pressure more slowly",
     Status.UNFILLED: "raise pressure.value or solver.end_time, or set mold.fill = false if the mold need not be filled",

@@ -26,10 +26,10 @@ from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import PackedState, State, can_move
 
 _SHARP = 0.7  # cosine: an element is at a fold where its normal is further from the mean one at a node
-_RINGS = 2  # of elements around such ones, in which nodes may touch
+_RINGS = 16  # of elements around such ones, in which nodes may touch: flanks may meet first far from the ridge
 _BACK = -0.7  # cosine: films are back to back where their normals are more opposed
-_REACH = 2.0  # walls of the other film, from middle to middle: so near films touch
-_INSIDE = 0.05  # of an element's side, by which a node may be beside it
+_REACH = 4.0  # walls of the other film, from middle to middle: so near films touch, for elements are many walls wide
+_INSIDE = 0.3  # of an element's side, by which a node may be beside it
 _BATCH = 16  # nodes that are compared with all elements at once
 
 
