@@ -195,3 +195,16 @@ def test_the_docs_example_of_a_motion_drapes(tmp_path):
     nodes = np.asarray(result.positions)
     assert jaxform.explain(result) == "ok" and nodes[:, 2].min() < -0.0495
     assert summarize(result, scene)["contact_fraction"] > 0.95
+
+
+def test_a_body_much_higher_than_wide_is_said_to_fold(tmp_path, capfd):
+    for height, told in ((300.0, True), (100.0, False)):
+        path = tmp_path / f"{height:g}.stl"
+        trimesh.creation.box((60.0, 60.0, height)).export(path)
+        folder = str(tmp_path / f"{height:g}")
+        # Laid down, it is a flat body again.
+        for flags, expected in (([], told), (["--direction=+x"], False)):
+            arguments = ["new", folder, "--mold", str(path), "--drape", "--direction=+z", "--force", *flags]
+            assert command.main(arguments) == 0
+            said = capfd.readouterr().err
+            assert ("times as high as it is wide" in said and "--direction" in said) == expected
