@@ -403,6 +403,6 @@ def test_limits_out_of_range_are_told(options: dict[str, float], key: str) -> No
 
 
 def test_room_for_less_than_the_first_mesh_is_refused() -> None:
-    with pytest.raises(InputError, match="at first") as caught:
+    with pytest.raises(InputError, match="initial elements") as caught:
         cup(10)
     assert caught.value.key == "refinement.elements"
