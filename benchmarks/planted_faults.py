@@ -106,12 +106,7 @@ FAULTS = [
     Fault("models", "jaxform/sheet/cooling.py", "area * thickness * (1.0 - ratio)", "area * thickness * (ratio - 1.0)"),
     Fault("models", "jaxform/materials/tension_field.py", "turn=(width - 1.0) * both", "turn=width * both"),
     Fault("models", "jaxform/materials/ogden.py", "jnp.square(power.thickness) - 3.0)", "power.thickness - 3.0)"),
-    Fault(
-        "padding",
-        "jaxform/runs/padding.py",
-        "pad_values(getattr(schedule, name), room, 0)",
-        "pad_values(getattr(schedule, name), room, 1)",
-    ),
+    Fault("padding", "jaxform/runs/padding.py", "self.order.triangle_room, NEVER)", "self.order.triangle_room, 0)"),
     Fault("padding", "jaxform/runs/padding.py", "np.asarray(split)[order.triangle]", "np.asarray(split)"),
     Fault("readers", "jaxform/mesh/ply.py", '"binary_big_endian": ">"', '"binary_big_endian": "<"'),
     Fault("readers", "jaxform/mesh/abaqus.py", 'word.lower().replace("d", "e")', "word.lower()"),
