@@ -6,7 +6,7 @@ from .core.compilation import compiler_options, keep_programs
 from .core.errors import InputError, InputWarning
 from .core.parameters import parameter
 from .io.files import load
-from .loads import Interval, Loading, Pressure, loading, make_pressure
+from .loads import Gas, Interval, Loading, Pressure, loading, make_gas, make_pressure
 from .materials import (
     Arrhenius,
     ArrheniusStiffness,
@@ -57,6 +57,7 @@ __all__ = [
     "Christensen",
     "Cooling",
     "Field",
+    "Gas",
     "Gent",
     "GradientCheck",
     "InputError",
@@ -100,6 +101,7 @@ __all__ = [
     "law",
     "load",
     "loading",
+    "make_gas",
     "make_mold",
     "make_motion",
     "make_parison",

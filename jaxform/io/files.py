@@ -25,7 +25,7 @@ from jaxform.io.geometry import build_mold, build_part, build_profile, build_she
 from jaxform.io.model_files import import_models_of
 from jaxform.io.scene_checks import warn_of_scene, warn_of_thin_features
 from jaxform.io.validation import validate
-from jaxform.loads import Pressure, make_pressure
+from jaxform.loads import Loading, make_gas, make_pressure
 from jaxform.mesh import bisection, meshes, shapes
 from jaxform.mesh.profiles import Profile
 from jaxform.model.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
@@ -165,7 +165,7 @@ def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scen
     """The scene of a document, like `build`, but without `review_scene`, which is left to the caller."""
     model = document.model
     with error_context(document.file):
-        pressure, solver = model.pressure, model.solver
+        solver = model.solver
         check_untraced()
         read = functools.cache(meshes.read_mesh)  # [part] asks for the mold's files again
         find_mold = functools.cache(lambda: build_mold(document, store, read))
@@ -180,7 +180,7 @@ def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scen
             refinement=refinement,
             forest=forest,
             material=_material(document, grown),
-            pressure=_pressure(pressure),
+            pressure=_loading(model),
             solver=make_solver(
                 end_time=solver.end_time,
                 damping=solver.damping,
@@ -239,8 +239,11 @@ def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Tri
     return make_parison(sheet.positions, triangles, thickness, clamped, fixed, temperature, stretches)
 
 
-def _pressure(table: schema.PressureTable | None) -> Pressure:
-    """The pressure history; none is that of a scene that gravity or a moving mold drives."""
+def _loading(model: schema.SceneFile) -> Loading:
+    """The gas or the pressure history; a scene that gravity or a moving mold drives has no pressure."""
+    if model.gas is not None:
+        return make_gas(**model.gas.model_dump(exclude={"closed_by"}))
+    table = model.pressure
     return make_pressure([0.0], [0.0]) if table is None else make_pressure(table.time, table.value, table.interpolation)
 
 

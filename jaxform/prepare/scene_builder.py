@@ -148,6 +148,7 @@ def build_scene(
         )
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)
+    component_validation.check_gas(pressure, volumes.enclosed_volume(positions, triangles))
     sheet = _reference_sheet(parison, pressure)
     rest = parison.unstretched(positions)
     bound = as_real(volumes.shape_bound(rest, triangles))

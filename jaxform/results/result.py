@@ -166,6 +166,7 @@ class Result:
         temperature: Temperature at the nodes (n_node,) [degC] at the end time, if the sheet cools; None if it keeps its
             initial temperature.
         loading: Final state of the loading; None where it has none.
+        pressures: Times [s] and pressures [Pa] (2, n), where `run` met a pressure that follows the enclosed volume.
         out_of_range: Numbers of the scene out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 if none. None for `run`, which refuses them.
     """
@@ -197,6 +198,7 @@ class Result:
     seconds: Seconds | None = None
     filling: Filling | None = None
     loading: Any = None
+    pressures: NDArray[np.float64] | None = None
     out_of_range: jax.Array | None = None
     temperature: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
 

@@ -211,6 +211,7 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
         "contact_fraction": float(area[_contact_elements(result)].sum() / area.sum()),
         **_wrinkles(result, scene, area),
         **_temperatures(result, scene),
+        **_pressures(result),
         "mass": float(part.mass),
         **({} if scene.part is None else {"sheet_mass": float(result.mass)}),
         "added_mass": float(result.added_mass),
@@ -227,6 +228,14 @@ def _wrinkles(result: Result, scene: Scene, area: np.ndarray) -> dict[str, float
         if scene.material.tension_field
         else {}
     )
+
+
+def _pressures(result: Result) -> dict[str, dict[str, list[float]]]:
+    """The pressure over time, where it follows the enclosed volume."""
+    if result.pressures is None:
+        return {}
+    time, value = result.pressures
+    return {"pressure": {"time": time.tolist(), "value": value.tolist()}}
 
 
 def _temperatures(result: Result, scene: Scene) -> dict[str, dict[str, float]]:

@@ -81,12 +81,14 @@ class Moment:
         end_time: End of the simulation [s].
         steps: Steps taken.
         result: Function that returns the part in its present state.
+        pressure: Pressure at the start of the last step [Pa], where it follows the enclosed volume; else None.
     """
 
     time: float
     end_time: float
     steps: int
     result: Callable[[], Result]
+    pressure: float | None = None
 
 
 @with_standard_promotion
@@ -136,9 +138,11 @@ def _run(
     begin, advance, result = programs(scene, store)
     state, first, taken = begin(scene)
     ready, telling = time.perf_counter(), 0.0
+    follows = state.account.load_state is not None
+    pressures: list[tuple[float, float]] = []
     compiling = ready - began
     while left := remaining_windows(scene, state, limit):
-        take = left if on_window is None else 1
+        take = left if on_window is None and not follows else 1
         state, taken, done = advance(state, scene, first, taken, np.int32(take))
         more = enlarge_room(scene, state, taken, bool(done), limit)
         if more is not None:
@@ -150,6 +154,8 @@ def _run(
             compiling += time.perf_counter() - paused
             telling += time.perf_counter() - paused
             continue
+        if follows:
+            _record_pressure(pressures, state)
         if on_window is not None:
             now = state, scene, first, taken
             moment = _moment(state, scene, lambda now=now, made=result: room.result(made.ready()(*now, _GOING)))
@@ -169,7 +175,7 @@ def _run(
     final = room.result(made(state, scene, first, taken, _LAST))
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
-    final = dataclasses.replace(final, seconds=seconds)
+    final = dataclasses.replace(final, seconds=seconds, pressures=np.array(pressures).T if pressures else None)
     if on_end is not None:
         on_end(final)
     if has_burst(final, own):
@@ -181,5 +187,16 @@ def _run(
     return final
 
 
+def _record_pressure(pressures: list[tuple[float, float]], state: State) -> None:
+    """Adds the time [s] and the pressure [Pa] at the start of a state's last step, unless the window was rejected."""
+    load = state.account.load_state
+    assert load is not None
+    time = float(state.time) - float(state.control.step_length)
+    if not pressures or time > pressures[-1][0]:
+        pressures.append((time, float(load.pressure)))
+
+
 def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:
-    return Moment(float(state.time), float(scene.solver.end_time), int(state.steps), result)
+    load = state.account.load_state
+    pressure = None if load is None else float(load.pressure)
+    return Moment(float(state.time), float(scene.solver.end_time), int(state.steps), result, pressure)

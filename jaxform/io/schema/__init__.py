@@ -27,7 +27,16 @@ from jaxform.io.schema.quantities import (
     TargetThickness,
     Thickness,
 )
-from jaxform.io.schema.scene import Output, PartTable, PressureTable, RefinementTable, SceneFile, SolverTable, TrimTable
+from jaxform.io.schema.scene import (
+    GasTable,
+    Output,
+    PartTable,
+    PressureTable,
+    RefinementTable,
+    SceneFile,
+    SolverTable,
+    TrimTable,
+)
 from jaxform.io.schema.study import (
     Adam,
     FixedPoint,
@@ -65,6 +74,7 @@ __all__ = [
     "FileParison",
     "FixedPoint",
     "FormingTimeTable",
+    "GasTable",
     "HeaterZonesTable",
     "KineticEnergyTable",
     "Lbfgs",

@@ -69,6 +69,28 @@ class PressureTable(Table):
     interpolation: Literal["linear", "cubic-ramp"] = "linear"
 
 
+class GasTable(Table):
+    """A gas that is blown into the sheet; the pressure is a result. See `jaxform.Gas`.
+
+    Attributes:
+        time: Knots [s], increasing.
+        mass_flow: Mass flow into the modelled part [kg/s], one per knot.
+        temperature: Temperature of the gas [K], constant.
+        gas_constant: Specific gas constant [J/(kg K)].
+        ambient_pressure: Absolute pressure outside, and inside at first [Pa].
+        dead_volume: Volume of the gas beside that under the sheet [m^3]; a flat sheet needs it.
+        closed_by: What closes the volume: the `clamp`, that is the plane or the rings in which the sheet is clamped.
+    """
+
+    time: Annotated[list[Number], Field(min_length=1)]
+    mass_flow: Annotated[list[Number], Field(min_length=1)]
+    temperature: Annotated[float, declared_range("gas.temperature")] = 293.15
+    gas_constant: Annotated[float, declared_range("gas.gas_constant")] = 287.06
+    ambient_pressure: Annotated[float, declared_range("gas.ambient_pressure")] = 101325.0
+    dead_volume: Annotated[float, declared_range("gas.dead_volume")] = 0.0
+    closed_by: Literal["clamp"] = "clamp"
+
+
 class RefinementTable(Table):
     """Criteria and limits of adaptive refinement; see `jaxform.Refinement`.
 
@@ -168,7 +190,8 @@ class SceneFile(Table):
         description: One line for the list of scenes.
         parison: The sheet.
         material: The material model.
-        pressure: The pressure history; may be absent where gravity or a moving mold does the work.
+        pressure: The pressure history; may be absent where a gas, gravity or a moving mold does the work.
+        gas: A gas that is blown into the sheet, instead of the pressure history.
         mold: The mold; without it the sheet is inflated freely.
         part: Selection of the part from the formed sheet; without it, all of it.
         refinement: Adaptive refinement; without it, the mesh does not change.
@@ -182,6 +205,7 @@ class SceneFile(Table):
     parison: Parison
     material: Material
     pressure: PressureTable | None = None
+    gas: GasTable | None = None
     mold: Mold | None = None
     part: PartTable | None = None
     refinement: RefinementTable | None = None
@@ -191,8 +215,10 @@ class SceneFile(Table):
 
     @model_validator(mode="after")
     def _check_drive(self) -> SceneFile:
-        moves = self.mold is not None and self.mold.motion is not None
+        if self.pressure is not None and self.gas is not None:
+            raise validation_error("is given together with [pressure]", "give one of the two", "gas", {})
+        moves = self.gas is not None or (self.mold is not None and self.mold.motion is not None)
         if self.pressure is None and self.solver.gravity is None and not moves:
-            remedy = "give [pressure], solver.gravity or [mold.motion]"
+            remedy = "give [pressure], [gas], solver.gravity or [mold.motion]"
             raise validation_error("is missing, and nothing else moves the sheet", remedy, "pressure", None)
         return self

@@ -1,0 +1,134 @@
+"""A gas at a given mass flow: pressures against closed forms, through the maximum, and input that is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import shapes
+from jaxform.cli.command import main
+from tests import scenes
+
+
+@pytest.mark.quick
+def test_inflow_is_the_integral_of_the_mass_flow() -> None:
+    gas = jaxform.make_gas([1.0, 2.0, 4.0], [1.0, 3.0, -1.0], temperature=1.0, gas_constant=1.0)
+    times, fine = np.linspace(0.0, 6.0, 13), np.linspace(0.0, 6.0, 600_001)
+    flow = np.interp(fine, [1.0, 2.0, 4.0], [1.0, 3.0, -1.0])
+    summed = np.append(0.0, np.cumsum(0.5 * (flow[1:] + flow[:-1]) * np.diff(fine)))
+    found = [float(gas.inflow(jnp.asarray(time))) for time in times]
+    np.testing.assert_allclose(found, np.interp(times, fine, summed), atol=1e-8)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"time": [1.0, 0.0]}, "gas.time"),
+        ({"time": [-1.0, 0.0]}, "before the simulation"),
+        ({"mass_flow": [1.0]}, "do not match"),
+        ({"temperature": -3.0}, "gas.temperature"),
+        ({"dead_volume": -1.0}, "gas.dead_volume"),
+    ],
+)
+def test_bad_gases_are_refused(given: dict[str, object], words: str) -> None:
+    arguments = {"time": [0.0, 1.0], "mass_flow": [1.0, 1.0]} | given
+    with pytest.raises(jaxform.InputError, match=words):
+        jaxform.make_gas(**arguments)  # pyright: ignore
+
+
+def _sphere(end_time: float = 200.0, elements: int = 400) -> jaxform.Scene:
+    """A neo-Hookean sphere, p_atm r0 / (c h0) = 50, whose gas grows to ten times its mass; a quarter."""
+    sheet = shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
+    corners = sheet.positions[sheet.triangles]
+    volume = np.linalg.det(corners).sum() / 6.0
+    mass = 0.5 * volume  # of the gas at first, with R T = 1
+    gas = jaxform.make_gas([0.0], [9.0 * mass / 200.0], temperature=1.0, gas_constant=1.0, ambient_pressure=0.5)
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.0),
+        pressure=gas,
+        solver=jaxform.make_solver(end_time=end_time, damping=1.0),
+    )
+
+
+def test_sphere_passes_the_maximum_of_its_pressure() -> None:
+    result = jaxform.run(_sphere())
+    assert int(result.status) == 0 and float(result.energy.balance_error) < 1e-3
+    assert result.pressures is not None
+    time, pressure = result.pressures
+    # Stretch and pressure in c h0 / r0 at 1.5, 3, 5 and 10 times the gas: P = 2 (1/L - 1/L^7), isothermal.
+    mass = 1.0 + 9.0 * time / 200.0
+    expected = [1.8466454, 2.4735341, 2.2703129, 1.8591505]
+    np.testing.assert_allclose(np.interp([1.5, 3.0, 5.0, 10.0], mass, pressure / 0.01), expected, rtol=5e-3)
+    assert pressure.max() / 0.01 > 2.47 > 1.9 > pressure[-1] / 0.01, "past the maximum"
+    radius = np.linalg.norm(np.asarray(result.positions), axis=1)
+    np.testing.assert_allclose(radius, 2.1283753, rtol=5e-3)
+
+
+def test_gradient_with_respect_to_the_mass_flow() -> None:
+    scene = _sphere(end_time=20.0, elements=60)
+    base = jaxform.run(scene)
+
+    def volume(flow: jax.Array) -> jax.Array:
+        changed = jaxform.replace(scene, {"pressure.mass_flow": flow})
+        return jaxform.simulate(changed, schedule=base.schedule).positions[0].sum()
+
+    flow = scene.pressure.mass_flow
+    found = float(jax.jit(jax.grad(volume))(flow)[0])
+    step, value = 1e-5 * float(flow[0]), jax.jit(volume)
+    difference = (float(value(flow + step)) - float(value(flow - step))) / (2.0 * step)
+    np.testing.assert_allclose(found, difference, rtol=1e-6)
+
+
+_BUBBLE = """
+[parison]
+shape = "disc"
+radius = 0.1
+elements = 100
+symmetry = "quarter"
+thickness = 1.0e-3
+[material]
+model = "neo-hookean"
+c = 2.0e5
+density = 1000.0
+[gas]
+time = [0.0, 0.2]
+mass_flow = [1.0e-3, 1.0e-3]
+dead_volume = 1.0e-4
+[solver]
+end_time = 0.2
+damping = 100.0
+"""
+
+
+def test_a_scene_with_gas_runs_and_tells_its_pressure(tmp_path: Path) -> None:
+    file = tmp_path / "bubble.toml"
+    file.write_text(_BUBBLE)
+    assert main(["check", str(file)]) == 0
+    assert main(["simulate", str(file), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert len(summary["pressure"]["time"]) == len(summary["pressure"]["value"]) > 3
+    assert max(summary["pressure"]["value"]) > 1e3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("dead_volume = 1.0e-4", "", "gas.dead_volume"),
+        ("[solver]", "[pressure]\ntime = [0.0]\nvalue = [1.0]\n[solver]", "together with"),
+        ("mass_flow = [1.0e-3, 1.0e-3]", "mass_flow = [1.0e-3]", "gas.mass_flow"),
+        ("[gas]", '[gas]\nclosed_by = "mold"', "gas.closed_by"),
+    ],
+)
+def test_bad_tables_of_a_gas_are_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    file = tmp_path / "bubble.toml"
+    file.write_text(_BUBBLE.replace(old, new))
+    with pytest.raises(jaxform.InputError, match=words):
+        jaxform.load(file)
