@@ -26,6 +26,7 @@ from jaxform.sheet.energy_balance import (
     strain_energy,
 )
 from jaxform.sheet.heat import ThermalElements, ThermalState, contact_share, temperature_change
+from jaxform.sheet.scheme import present_kinetic_energy
 from jaxform.sheet.state import LOSS, Schedule, State, Taken, is_at_rest
 
 # The energy balance of a run, and its checks.
@@ -50,7 +51,7 @@ class Energy:
         refinement_loss: Strain and kinetic energy that new nodes took away.
         viscous_loss: Dissipation of the Prony terms.
         cooling_loss: Strain energy lost as the temperature softened the sheet, minus that gained as it stiffened.
-        kinetic_peak: Largest kinetic energy at the end of a window.
+        kinetic_peak: Largest kinetic energy at the end of a window; carries no derivative.
         peak_work: Largest magnitude of the work, external and of the tool, at the end of a window; carries no
             derivative.
         rounding: Error of the balance by rounding alone; carries no derivative.
@@ -279,7 +280,7 @@ def make_result(
         added_mass=_added_mass(scene, now, mesh),
         energy=Energy(
             strain=strain_energy(state, scene, now),
-            kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
+            kinetic=_kinetic_energy(state, scene, now),
             external_work=state.account.external_work + last_work(state, scene, volume),
             tool_work=_or_zero(state.account.total_tool_work),
             gravity_work=_or_zero(state.account.gravity_work),
@@ -298,6 +299,14 @@ def make_result(
         schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
         temperature=None if change is None else nodal(change, 0.0) + jnp.asarray(scene.parison.temperature),
     )
+
+
+def _kinetic_energy(state: State, scene: Scene, now: Discretization) -> jax.Array:
+    """Kinetic energy [J] at the last window's end, as the energy balance has it, with its derivative."""
+    found = present_kinetic_energy(state, scene, now)
+    # The same to rounding, but of a sheet that was refined or retried since: the value is the balance's.
+    value = kinetic_energy(state, now.mass) - state.account.kinetic_excess
+    return jax.lax.stop_gradient(value - found) + found
 
 
 def _or_zero(term: jax.Array | None) -> jax.Array:

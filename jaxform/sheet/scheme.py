@@ -107,6 +107,27 @@ def apply_tool_velocity(
     return vector(new), held, work
 
 
+def present_kinetic_energy(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
+    """Kinetic energy [J] at the time of the positions, differentiable.
+
+    It is that of the product of the velocities half a step before and half a step after, which a linear mode keeps.
+    """
+    active = active_set_of(state, scene, discrete, differentiable=True)
+    packed, length = active.pack_state(state), state.control.step_length
+    volume = enclosed_volume(state.nodes.positions, discrete.sheet) if scene.pressure.follows_volume else None
+    modes = scene.material.viscous
+    memory = None if packed.memory is None or modes is None else present_memory(packed.memory, modes)
+    pressure = present_pressure(state, scene, volume).pressure
+    load = Load(packed.nodes.positions, active.thickness, pressure, *active.response(scene.material, memory))
+    nodal = add_gravity(force(load, active.packed.elements)[0], active.mass, scene.solver.gravity)
+    nodes, before = (packed.nodes.stuck, active.mass, active.compliance), packed.nodes.velocities
+    after, _ = update_velocity(nodal, before, nodes, length, scene.solver.damping)
+    if scene.motion is not None:
+        tool = scene.motion.frame(state.time, state.time + length).velocity
+        after, _, _ = apply_tool_velocity(nodal, (before, after), nodes, packed.nodes.wall, length, tool)
+    return 0.5 * jnp.sum(jnp.where(active.packed.exists, active.mass * membrane.dot(before, after), 0.0))
+
+
 def synchronize_velocity(
     state: State, scene: Scene, discrete: Discretization, active: ActiveSet | None = None
 ) -> State:

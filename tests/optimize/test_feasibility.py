@@ -116,7 +116,7 @@ def test_a_limit_that_is_not_kept_is_told_with_number_and_remedy() -> None:
     assert feasibility.broken_limits(kept, scene, result, _point(0.004), ended) == ""
     deviation = optimize.Target(scene, result.thickness / 1.1, limit=0.05)
     words = feasibility.broken_limits(_study(deviation), scene, result, _point(1.0), ended)
-    assert "deviates by 10 %, not by objective.limit = 5 % at most" in words
+    assert "deviates by 10 %, more than objective.limit = 5 %" in words
 
 
 def test_the_command_tells_a_broken_limit_and_exits_with_3(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -135,7 +135,7 @@ def test_the_command_tells_a_broken_limit_and_exits_with_3(tmp_path: Path, capfd
         patch.setattr(session, "cache_folder", lambda: None)
         assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out")]) == 3
         captured = capfd.readouterr()
-        assert "limits are broken; multiplier" in captured.out and "stopped by" in captured.out
+        assert "limits are violated; multiplier" in captured.out and "stopped by" in captured.out
         summary = json.loads((tmp_path / "out" / "summary.json").read_text())
         assert (
             summary["status"].startswith("a limit is violated: the thinnest wall is") and "bounds" in summary["status"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -24,10 +25,27 @@ def test_every_loss_of_a_run_is_one_of_its_result() -> None:
 @pytest.mark.parametrize("name", LOSSES)
 def test_every_loss_enters_the_balance(name: str) -> None:
     parts = {part.name: jnp.asarray(1.0) for part in dataclasses.fields(Energy)}
-    work = jnp.asarray(1.0 + len(LOSSES))  # with the tool's as much as strain, kinetic energy and all losses
-    energy = Energy(**(parts | {"external_work": work, "peak_work": work, "rounding": jnp.zeros(())}))
+    total = 2.0 + len(LOSSES)  # strain, kinetic energy and all losses; tool, gravity and pre-stretch did 1 each
+    pressure = jnp.asarray(total - 3.0)
+    energy = Energy(**(parts | {"external_work": pressure, "peak_work": pressure, "rounding": jnp.zeros(())}))
     np.testing.assert_allclose(energy.balance_error, 0.0, atol=1e-15)
     other = dataclasses.replace(energy, **{name: jnp.asarray(2.0)})
-    np.testing.assert_allclose(other.balance_error, 1.0 / (work + 1.0), rtol=1e-12)
+    np.testing.assert_allclose(other.balance_error, 1.0 / total, rtol=1e-12)
     idle = dataclasses.replace(energy, tool_work=jnp.asarray(0.0))
-    np.testing.assert_allclose(idle.balance_error, 1.0 / work, rtol=1e-12)
+    np.testing.assert_allclose(idle.balance_error, 1.0 / (total - 1.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("over_mold", [False, True])
+def test_the_derivative_of_the_kinetic_energy_is_that_of_differences(over_mold: bool) -> None:
+    scene = scenes.cup(60, 9.0) if over_mold else scenes.free_disc(60, 2.0, scenes.mooney(0.1), 0.3, end_time=7.0)
+    base = jaxform.run(scene)
+    assert float(base.energy.kinetic) > 0.0
+
+    def kinetic(scale: jax.Array) -> jax.Array:
+        changed = jaxform.replace(scene, {"material.c": scale * scene.material.c})
+        return jaxform.simulate(changed, schedule=base.schedule).energy.kinetic
+
+    value, slope = jax.jit(kinetic), float(jax.jit(jax.grad(kinetic))(jnp.asarray(1.0)))
+    np.testing.assert_allclose(value(jnp.asarray(1.0)), base.energy.kinetic, rtol=1e-9)
+    difference = (float(value(jnp.asarray(1.0 + 1e-5))) - float(value(jnp.asarray(1.0 - 1e-5)))) / 2e-5
+    np.testing.assert_allclose(slope, difference, rtol=1e-6)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -43,7 +45,7 @@ def test_cells_of_slivers_list_all_in_reach_and_few_more_are_compared(
     vertices, triangles = (cup.vertices, np.asarray(cup.triangles)) if shape == "turned" else _fan(20_000)
     compared, measured = [], search._distances
 
-    def count(local: search._Local, triangle: NDArray[np.int64], *middle: NDArray[np.int64]) -> Array:
+    def count(local: search._Local, triangle: NDArray[np.int64], *middle: Any) -> Any:
         compared.append(len(triangle))
         return measured(local, triangle, *middle)
 
