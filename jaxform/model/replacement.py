@@ -24,6 +24,8 @@ from jaxform.model.field import Field
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 
+_DECLARING = (Law, Modes, Shift, Loading, Field)  # parts that declare their numbers
+
 
 @with_standard_promotion
 def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
@@ -152,7 +154,7 @@ def _substitute(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> 
 def _range(path: str, scene: Scene) -> Range:
     part, _, name = path.rpartition(".")
     owner = _owner(scene, part)
-    return parameter_ranges(owner)[name] if isinstance(owner, Law | Modes | Shift | Loading | Field) else RANGES[path]
+    return parameter_ranges(owner)[name] if isinstance(owner, _DECLARING) else RANGES[path]
 
 
 def _key(path: str) -> str:
@@ -161,10 +163,17 @@ def _key(path: str) -> str:
 
 
 def _designable_numbers(scene: Scene) -> dict[str, jax.Array]:
-    """Those of `DESIGNABLE` that the scene has."""
+    """Those of `DESIGNABLE` that the scene has; a declared part may have a method of the name of another's number."""
     field_paths = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in parameter_ranges(field)]
-    found = {path: number_at(scene, path) for path in (*DESIGNABLE, *field_paths)}
+    found = {path: number_at(scene, path) for path in (*DESIGNABLE, *field_paths) if _is_declared(scene, path)}
     return {path: values for path, values in found.items() if values is not None}
+
+
+def _is_declared(scene: Scene, path: str) -> bool:
+    """False where a path's part declares its numbers, and none of that name."""
+    part, _, name = path.rpartition(".")
+    owner = _owner(scene, part)
+    return not isinstance(owner, _DECLARING) or name in parameter_ranges(owner)
 
 
 def number_at(scene: Scene, path: str) -> Any:
@@ -174,7 +183,7 @@ def number_at(scene: Scene, path: str) -> Any:
 
 
 def _designable(scene: Scene, path: str) -> jax.Array:
-    old = number_at(scene, path)
+    old = number_at(scene, path) if _is_declared(scene, path) else None
     if _key(path) in DESIGNABLE and old is not None:
         return old
     if old is not None:

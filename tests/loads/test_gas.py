@@ -132,3 +132,17 @@ def test_bad_tables_of_a_gas_are_refused(tmp_path: Path, old: str, new: str, wor
     file.write_text(_BUBBLE.replace(old, new))
     with pytest.raises(jaxform.InputError, match=words):
         jaxform.load(file)
+
+
+def test_another_loading_may_declare_a_number_of_the_name_of_a_method() -> None:
+    @jaxform.loading
+    class Inflated(jaxform.Loading):
+        inflow: jax.Array = jaxform.parameter("kg/s", least=0.0)
+
+        def at(self, time: jax.Array, volume: jax.Array) -> jax.Array:
+            return 0.0 * volume + self.inflow
+
+    result = jaxform.run(_sphere(end_time=1.0, elements=60))  # `Gas.inflow` is no number of the scene
+    assert int(result.status) == 0
+    with pytest.raises(jaxform.InputError, match="no such parameter"):
+        jaxform.replace(_sphere(end_time=1.0, elements=60), {"pressure.inflow": 1.0})
