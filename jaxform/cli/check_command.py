@@ -123,7 +123,10 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
     yield f"{parts}, {rims}, {held} of {first} nodes clamped{on_planes}"
     turns = ", and changes sign" if seen.changes_sign else ""
     loads = "the pressure" if scene.solver.gravity is None else "the pressure with the weight of the sheet"
-    yield f"{loads}, up to {scene.strongest_push():.4g} Pa, pushes the sheet {seen.direction}{turns}"
+    if scene.pressure.follows_volume:
+        yield f"{loads} follows the enclosed volume, and pushes the sheet {seen.direction}{turns}"
+    else:
+        yield f"{loads}, up to {scene.strongest_push():.4g} Pa, pushes the sheet {seen.direction}{turns}"
 
 
 def _is_cut_at_planes(scene: Scene) -> bool:
