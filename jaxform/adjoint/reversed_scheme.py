@@ -198,11 +198,11 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     after = jnp.where(number == kept.count - 1, end.account.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
     idle, pull_idle = jax.vjp(lambda positions: inactive_volume(positions, scene, discrete, packed), kept.end)
-    gravity, fall = scene.solver.gravity, end.account.gravity_work
+    gravity, fall, weight = scene.solver.gravity, end.account.gravity_work, None
     if gravity is not None and fall is not None:
         # Gravity's work is force times displacement in the window: the force at its end, less that at its begin.
-        weight = discrete.mass * gravity[:, None]
-        end = end.replace_nodes(positions=end.nodes.positions + fall * weight)
+        weight = fall * discrete.mass * gravity[:, None]
+        end = end.replace_nodes(positions=end.nodes.positions + weight)
     back = _reverse_steps(kept, now, cotangents, end, volume, mean)
     nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + idle, prepend=kept.volume)
     if back.rim is not None and kept.rim is not None:
@@ -211,9 +211,9 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
 
     put, of = cotangents.put, cotangents.of
     positions, mass = packed.unpack(nodes.positions) + pull_idle(jnp.sum(volume))[0], packed.unpack(nodes.mass)
-    if gravity is not None and fall is not None and nodes.gravity is not None:
+    if gravity is not None and fall is not None and weight is not None and nodes.gravity is not None:
         displacement = kept.end - packed.unpack(nodes.at)
-        positions, mass = positions - fall * discrete.mass * gravity[:, None], mass + fall * (gravity @ displacement)
+        positions, mass = positions - weight, mass + fall * (gravity @ displacement)
         put(of[1].solver.gravity, nodes.gravity + fall * jnp.sum(discrete.mass * displacement, axis=1))
         put(begun.account.gravity_work, fall)
     put(begun.nodes.positions, positions)

@@ -72,6 +72,15 @@ def _arrays(shape: shapes.Sheet | molds.MoldShape) -> Arrays:
     return {name: value for name, value in vars(shape).items() if isinstance(value, np.ndarray)}
 
 
+_BUILT_IN: dict[type, Callable[..., shapes.Sheet]] = {
+    schema.RectangleTable: shapes.rectangle,
+    schema.Sphere: shapes.sphere,
+    schema.Tube: shapes.tube,
+    schema.BottleHalfParison: shapes.bottle_half,
+}
+"""Sheets whose keys are the arguments of a function."""
+
+
 def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -> shapes.Sheet:
     table = document.model.parison
     if isinstance(table, schema.FileParison):
@@ -80,29 +89,8 @@ def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -
             mesh = meshes.read_mesh(path, scale=table.scale)
             previous_results.check_planes(path, table.scale, table.planes)
             return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
-    if isinstance(table, schema.RectangleTable):
-        return shapes.rectangle(
-            size=table.size,
-            element_size=table.element_size,
-            elements=table.elements,
-            symmetry=table.symmetry,
-        )
-    if isinstance(table, schema.Sphere):
-        return shapes.sphere(
-            radius=table.radius,
-            element_size=table.element_size,
-            elements=table.elements,
-            symmetry=table.symmetry,
-        )
-    if isinstance(table, schema.Tube):
-        return shapes.tube(
-            radius=table.radius,
-            length=table.length,
-            ends=table.ends,
-            element_size=table.element_size,
-            elements=table.elements,
-            symmetry=table.symmetry,
-        )
+    if isinstance(table, schema.RectangleTable | schema.Sphere | schema.Tube | schema.BottleHalfParison):
+        return _BUILT_IN[type(table)](**table.model_dump(exclude={"shape", "thickness", "temperature", "pre_stretch"}))
     if isinstance(table, schema.Outline):
         size = {"element_size": table.element_size, "elements": table.elements}
         if table.polygon is not None:
@@ -111,8 +99,6 @@ def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -
         if mold is None:
             raise InputError("there is no mold", "add [mold], or give polygon", "parison.mold_rim", True)
         return footprint.sheet_over_opening(np.asarray(mold.vertices, float), np.asarray(mold.triangles), **size)
-    if isinstance(table, schema.BottleHalfParison):
-        return shapes.bottle_half(**table.model_dump(exclude={"shape", "thickness", "temperature"}))
     size = table.element_size
     local = build_profile(size, "parison.element_size") if isinstance(size, schema.ProfileTable) else size
     return shapes.disc(radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry)

@@ -265,10 +265,10 @@ def sample_pressures(pressure: Loading, solver: Solver, parison: Parison, materi
 def _weight_pressure(gravity: jax.Array, parison: Parison, material: Law) -> float:
     """The pressure [Pa] that pushes a flat sheet as its weight does."""
     corners = np.asarray(parison.positions, float)[np.asarray(parison.triangles)]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(0)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normals, axis=1).sum()
     weight = np.mean(np.asarray(material.density, float)) * np.mean(np.asarray(parison.thickness, float))
-    return float(weight * np.asarray(gravity, float) @ normals / area)
+    return float(weight * np.asarray(gravity, float) @ normals.sum(0) / area)
 
 
 def make_parison(

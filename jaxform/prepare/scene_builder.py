@@ -164,8 +164,8 @@ def build_scene(
             else initial_contact.find_initial_bisections(forest, in_contact, refinement, bend, grid)
         )
         refinement = reserve_capacity(refinement, forest, fine)
-        rest = parison.unstretched(forest.positions)
-        grown = pack_forest(forest, refinement, sheet, mobility, bend, fine, rest)
+        of_forest = parison.unstretched(forest.positions)
+        grown = pack_forest(forest, refinement, sheet, mobility, bend, fine, of_forest)
         bound = grown.bound
     cold, change = component_validation.coldest_temperature(parison, cooling, solver, material)
     law = material.at(cold)
@@ -182,7 +182,7 @@ def build_scene(
     longest = longest_window(planned, frames, steep=steep)
     tables = Precomputed(
         sheet=sheet,
-        assembly=_assembly(parison.unstretched(positions), triangles, refinement),
+        assembly=_assembly(rest, triangles, refinement),
         bound=bound,
         mobility=mobility,
         size=as_real(np.abs(positions).max()),

@@ -22,7 +22,7 @@ from jaxform.model.scene import Scene
 from jaxform.sheet.active_set import ActiveSet, active_set_of
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.energy_balance import enclosed_volume, last_work, present_pressure
-from jaxform.sheet.state import State
+from jaxform.sheet.state import PackedState, State
 
 
 class WindowTiming(NamedTuple):
@@ -107,6 +107,14 @@ def apply_tool_velocity(
     return vector(new), held, work
 
 
+def _present_force(packed: PackedState, scene: Scene, active: ActiveSet, pressure: jax.Array) -> Any:
+    """Nodal forces of a state, three times (n,) [N], at a pressure [Pa]; differentiable."""
+    modes = scene.material.viscous
+    memory = None if packed.memory is None or modes is None else present_memory(packed.memory, modes)
+    load = Load(packed.nodes.positions, active.thickness, pressure, *active.response(scene.material, memory))
+    return add_gravity(force(load, active.packed.elements)[0], active.mass, scene.solver.gravity)
+
+
 def present_kinetic_energy(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
     """Kinetic energy [J] at the time of the positions, differentiable.
 
@@ -115,11 +123,7 @@ def present_kinetic_energy(state: State, scene: Scene, discrete: Discretization)
     active = active_set_of(state, scene, discrete, differentiable=True)
     packed, length = active.pack_state(state), state.control.step_length
     volume = enclosed_volume(state.nodes.positions, discrete.sheet) if scene.pressure.follows_volume else None
-    modes = scene.material.viscous
-    memory = None if packed.memory is None or modes is None else present_memory(packed.memory, modes)
-    pressure = present_pressure(state, scene, volume).pressure
-    load = Load(packed.nodes.positions, active.thickness, pressure, *active.response(scene.material, memory))
-    nodal = add_gravity(force(load, active.packed.elements)[0], active.mass, scene.solver.gravity)
+    nodal = _present_force(packed, scene, active, present_pressure(state, scene, volume).pressure)
     nodes, before = (packed.nodes.stuck, active.mass, active.compliance), packed.nodes.velocities
     after, _ = update_velocity(nodal, before, nodes, length, scene.solver.damping)
     if scene.motion is not None:
@@ -144,12 +148,9 @@ def synchronize_velocity(
     active = active or active_set_of(state, scene, discrete, differentiable=True)
     packed = active.pack_state(state)
     volume = enclosed_volume(state.nodes.positions, discrete.sheet)
-    modes = scene.material.viscous
-    memory = None if packed.memory is None or modes is None else present_memory(packed.memory, modes)
     pressed = present_pressure(state, scene, volume)
-    load = Load(packed.nodes.positions, active.thickness, pressed.pressure, *active.response(scene.material, memory))
     nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
-    nodal = add_gravity(force(load, active.packed.elements)[0], active.mass, scene.solver.gravity)
+    nodal = _present_force(packed, scene, active, pressed.pressure)
     velocities, losses = update_velocity(
         nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping
     )
