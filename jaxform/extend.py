@@ -21,24 +21,34 @@ from jaxform.results.part import mask_part, part_elements
 from jaxform.results.result import drop_unused
 from jaxform.results.sections import symmetry_planes
 from jaxform.results.summary import QUASI_STATIC_LIMIT
+from jaxform.sweeps.engine import Outcome, evaluate, guarded
+from jaxform.sweeps.evaluation import Setting as WorkerSetting
+from jaxform.sweeps.evaluation import compile_once, set_up, worker_setting
+from jaxform.sweeps.sampling import MOST_SOBOL
 
 __all__ = [
     "LAWS",
     "LEAST",
     "MODES",
     "MOST",
+    "MOST_SOBOL",
     "QUASI_STATIC_LIMIT",
     "Modes",
+    "Outcome",
     "Overstress",
     "Range",
     "Store",
     "ViscousMemory",
+    "WorkerSetting",
     "advance_memory",
     "as_real",
     "boundary_nodes",
     "compile_function",
+    "compile_once",
     "drop_unused",
+    "evaluate",
     "extend_values",
+    "guarded",
     "initial_overstress",
     "list_parameter_names",
     "mask_part",
@@ -47,6 +57,8 @@ __all__ = [
     "part_elements",
     "principal_nominal_stress",
     "principal_overstress",
+    "set_up",
     "symmetry_planes",
     "warn_of",
+    "worker_setting",
 ]

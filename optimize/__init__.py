@@ -9,7 +9,8 @@ from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective
 from optimize.pressures import PressureKnots
 from optimize.search import Search
 from optimize.sheets import ThicknessField, ThicknessProfile
-from optimize.solvers import Design, check, solve
+from optimize.solvers import Design, check
+from optimize.starts import solve, write_starts
 from optimize.study import build_study, load_study, write_history
 from optimize.variables import Scale
 
@@ -38,4 +39,5 @@ __all__ = [
     "load_study",
     "solve",
     "write_history",
+    "write_starts",
 ]

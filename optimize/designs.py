@@ -48,7 +48,9 @@ class Study:
         learning_rate: Learning rate of Adam; the bounds are 4 apart.
         warm_start: Updates of the fixed point before the search; None for as many as halve the value, for a
             target or an even wall of which the sheet is a variable.
-        starts: Number of designs, scattered about the first one; the search starts at the best.
+        starts: Number of searches: the first from the scene's own design, the others from low-discrepancy points within
+            the bounds; the best of their designs is the result.
+        first: The search's numbers (n,) of the first design; None for the scene's own.
         rounds: Largest number of multiplier rounds.
         document: Document of the scene, for writing the best design.
         digest: Hash that identifies the study, for resuming a search.
@@ -68,6 +70,7 @@ class Study:
     learning_rate: float = 0.1
     warm_start: int | None = None
     starts: int = 1
+    first: np.ndarray | None = None
     rounds: int = 8
     document: Any = None
     digest: str = ""

@@ -48,7 +48,7 @@ class Journal:
 
     def __init__(self, path: Path | None = None, study: str = "", resume: bool = False) -> None:
         """See the class."""
-        self._path, self.replayed = path, 0
+        self._path, self._study, self._resume, self.replayed = path, study, resume, 0
         self._known: list[slice] = []  # the bytes of each entry
         self._count = 0
         if path is None:
@@ -59,6 +59,17 @@ class Journal:
             return
         with atomic_path(path, _GO_ON) as fresh:
             fresh.write_bytes(_line({"study": study}))
+
+    def of_start(self, number: int) -> Journal:
+        """The journal of one of several starts: of the first, this one; of others, a file beside it.
+
+        Raises:
+            InputError: As of the class.
+        """
+        if number == 1 or self._path is None:
+            return self if number == 1 else Journal()
+        path = self._path.with_suffix(f".{number}{self._path.suffix}")
+        return Journal(path, f"{self._study} start {number}", self._resume)
 
     def ask(self, kind: str, at: list[float], compute: Callable[[], Answer]) -> tuple[Answer, bool]:
         """The answer to a question, and whether it was known from the file.

@@ -28,6 +28,7 @@ from optimize.termination import Ending, SpentError, budget_ending
 from optimize.variables import Variable
 from optimize.wall_statistics import formed_part, nodal_area, wall
 
+Evaluators = Callable[[Study, list[np.ndarray], Any], list[Answer | None]]
 _REFRESH = 5  # iterations with the same decisions about the mesh
 _FIRST_PENALTY = 300.0
 
@@ -57,6 +58,9 @@ class Search:
         updates: Updates of the fixed point before the search.
         on_wait: Called with a message before programs are compiled.
         memory: Private state of the method between rounds.
+        evaluators: What computes values of designs side by side: of a study, designs, and the decisions and limits that
+            `value` takes, an answer for each, or None; without it they are computed one after the other.
+        programs: Compiled programs by name.
     """
 
     study: Study
@@ -78,22 +82,24 @@ class Search:
     updates: int = 0
     on_wait: Callable[[str], object] | None = None
     memory: Any = None
+    evaluators: Evaluators | None = None
+    programs: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         splits = np.cumsum([variable.start.size for variable in self.study.variables])[:-1]
         self._splits = [int(split) for split in splits]
         self._began, self._clock = time.perf_counter(), time.process_time()
-        self._programs: dict[str, Any] = {}
         self._costs: dict[str, float] = {}
         self._curved: tuple[Point, np.ndarray] | None = None
-        if self.study.objective.constrained:
+        if self.study.objective.constrained and self.limits is None:
             multipliers = self.study.objective.first_multipliers(self.study.scene)
             self.limits = multipliers, jnp.asarray(_FIRST_PENALTY)
 
     @property
     def start(self) -> np.ndarray:
-        """The scene's own design, as numbers of the search (n,)."""
-        return np.concatenate([variable.start for variable in self.study.variables])
+        """The first design, as numbers of the search (n,)."""
+        first = self.study.first
+        return np.concatenate([variable.start for variable in self.study.variables]) if first is None else first
 
     @property
     def reach(self) -> np.ndarray:
@@ -160,12 +166,12 @@ class Search:
 
     def _program(self, name: str, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
         """Compiled ahead, so that the cost of the first evaluation is that of a simulation."""
-        if name not in self._programs:
+        if name not in self.programs:
             if self.on_wait is not None and (words := progress_messages.waiting_message(name, self.study.scene)):
                 self.on_wait(words)
-            self._programs[name] = compile_function(jax.jit(function), *arguments)
+            self.programs[name] = compile_function(jax.jit(function), *arguments)
             self._clock = time.process_time()
-        return self._programs[name]
+        return self.programs[name]
 
     def compute(self, free: np.ndarray) -> tuple[tuple[jax.Array, dict[str, jax.Array]], jax.Array]:
         """Value, report and gradient of a design by one simulation and its reverse."""
@@ -251,10 +257,11 @@ class Search:
 
     def evaluate_forward(self, free: np.ndarray) -> tuple[Point, np.ndarray]:
         """The point without its gradient, and the ratio of wanted to present wall (n_node,) where it is known."""
-        answer = self.ask("value", free, lambda: self._forward(free))
+        answer = self.ask("value", free, lambda: self.forward(free))
         return self.accept(free, answer), np.asarray(answer.get("ratio", []))
 
-    def _forward(self, free: np.ndarray) -> Answer:
+    def forward(self, free: np.ndarray) -> Answer:
+        """Value and report of a design by one simulation."""
         if self.schedule is not None:
             arguments = jnp.asarray(free), self.study.scene, self.schedule, self.limits
             value, report = self._program("value", self._value, *arguments)(*arguments)
@@ -265,18 +272,32 @@ class Search:
         value, report = self._program("judge", self.judge, *arguments)(*arguments)
         return _plain(report) | {"value": float(value)}
 
+    def forward_timed(self, free: np.ndarray) -> Answer:
+        """Value and report of a design, with the processor time that it took [s]."""
+        self._clock = time.process_time()
+        answer = self.forward(free)
+        return answer | {"spent": time.process_time() - self._clock}
+
     def check(self, point: Point) -> float:
         """Relative difference of a gradient and differences along one direction, which it keeps."""
-        self.gradient_error = gradient_error(point, self.reach, lambda free: self._compute_value("check", free))
+        self.gradient_error = gradient_error(point, self.reach, lambda designs: self._compute_values("check", designs))
         return self.gradient_error
 
     def probe(self, free: np.ndarray) -> float:
         """The value of a design that is no part of the search; infinite where its simulation fails."""
-        return self._compute_value("probe", free)
+        answer = self.ask("probe", free, lambda: self.forward(free))
+        return np.inf if answer["status"] else answer["value"]
 
-    def _compute_value(self, kind: str, free: np.ndarray) -> float:
-        answer = self.ask(kind, free, lambda: self._forward(free))
-        return np.inf if kind == "probe" and answer["status"] else answer["value"]
+    def _compute_values(self, kind: str, designs: list[np.ndarray]) -> list[float]:
+        """Values of designs, which are computed side by side where there is something to do so."""
+        known: list[Answer | None] = []
+
+        def work(place: int) -> Answer:
+            if self.evaluators is not None and not known:
+                known.extend(self.evaluators(self.study, designs, (self.schedule, self.limits)))
+            return (known[place] if known else None) or self.forward(designs[place])
+
+        return [self.ask(kind, free, lambda k=k: work(k))["value"] for k, free in enumerate(designs)]
 
     def accept(self, free: np.ndarray, answer: Answer) -> Point:
         """The point of an answer; it is the best one if it is, and a row of the history."""

@@ -1,11 +1,11 @@
-"""A study from its first design to its best one: checks, warm starts, the search, and its rounds of multipliers."""
+"""A search from its first design to its best one: checks, warm starts, the method, and its rounds of multipliers."""
 
 from __future__ import annotations
 
 import dataclasses
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -18,16 +18,16 @@ from optimize import feasibility, sensitivity_check
 from optimize.descent import adam, lbfgs
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Point, Study
 from optimize.fixed_point import fixed_point, warm_start
-from optimize.journal import Answer, Journal
+from optimize.journal import Journal
 from optimize.least_squares import least_squares
 from optimize.penalty_rounds import fall_back, rounds
 from optimize.price import price
-from optimize.search import Search
+from optimize.search import Evaluators, Search
 from optimize.termination import STOPPED, Ending, SpentError, check_goal
 from optimize.variables import SheetVariable
 from optimize.wall_statistics import formed_part
 
-__all__ = ["COLUMNS", "LIMIT_COLUMNS", "METHODS", "Design", "Search", "Study", "solve"]
+__all__ = ["COLUMNS", "LIMIT_COLUMNS", "METHODS", "Design", "Search", "Study", "solve_once"]
 
 Row = dict[str, Any]
 Method = Callable[[Search, Study, Point], tuple[Point, Ending]]
@@ -38,8 +38,8 @@ METHODS: dict[str, Method] = {
     "least-squares": least_squares,
     "fixed-point": fixed_point,
 }
+_HALVINGS = 4  # of the way between a start that fails and the scene's own design
 _WITHOUT_GRADIENT = ("fixed-point", "least-squares")  # at the start; the latter takes its own
-_SPREAD = 1.0  # of several starts, a quarter of the way from one bound to the other
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,8 @@ class Design:
         multiplier: The weighted sum of the constraints' multipliers; None without constraints, or before
             a round has ended.
         updates: Updates of the fixed point before the search.
+        starts: A row for each of several starts: its number from 1, objective, status, simulations, and seconds.
+        first_row: Row of the study's own first design; None where it is the first of the history.
     """
 
     scene: Scene
@@ -83,6 +85,8 @@ class Design:
     best_row: Row
     multiplier: float | None
     updates: int
+    starts: list[Row] = field(default_factory=list)
+    first_row: Row | None = None
 
     def amended(self, summary: dict[str, Any]) -> dict[str, Any]:
         """The summary of the part and the search: broken limits, warnings, and its facts."""
@@ -95,7 +99,9 @@ class Design:
     def summary(self) -> dict[str, Any]:
         """Plain facts: values before and after, cost, and accuracy."""
         names = ("objective", "thickness_rms_error", "wall_min", "wall_mean", "wall_cv", "mass")
-        before, after = ({name: _number(row[name]) for name in names} for row in (self.history[0], self.best_row))
+        before, after = (
+            {name: _number(row[name]) for name in names} for row in (self.first_row or self.history[0], self.best_row)
+        )
         return {
             "status": self.broken or "ok",
             "message": self.message,
@@ -112,14 +118,14 @@ class Design:
             "seconds": self.history[-1]["seconds"],
             "price": price(self.history),
             "warnings": self.warnings,
-        }
+        } | ({"starts": self.starts} if self.starts else {})
 
 
 def _number(value: Any) -> float | None:
     return None if value == "" else float(value)
 
 
-def solve(
+def solve_once(
     study: Study,
     on_evaluation: Callable[[Row], object] | None = None,
     *,
@@ -127,20 +133,23 @@ def solve(
     on_warning: Callable[[str], object] | None = None,
     on_wait: Callable[[str], object] | None = None,
     journal: Journal | None = None,
+    evaluators: Evaluators | None = None,
+    programs: dict[str, Any] | None = None,
 ) -> Design:
-    """Searches for the best design.
+    """Searches for the best design from one start; see `optimize.solve`.
 
     Args:
         study: The design study.
-        on_evaluation: Called with every row of the history as it comes; a true answer ends the search.
-        on_check: Called with the gradient's relative difference to central differences, before the search.
-        on_warning: Called with each warning about the study, a sentence, before the search.
-        on_wait: Called with a message before the initial scene is simulated and programs are compiled.
-        journal: Journal on disk, so that a killed search can be resumed; none by default.
+        on_evaluation: See `optimize.solve`.
+        on_check: See there.
+        on_warning: See there.
+        on_wait: See there.
+        journal: See there.
+        evaluators: What computes values for the check of the gradient side by side; None for one after the other.
+        programs: Compiled programs of another search of this study, which gets those of this one.
 
     Raises:
-        InputError: If method, objective and variables cannot be combined, the initial scene cannot be simulated to its
-            end, or no design within the bounds can satisfy a limit.
+        InputError: See `optimize.solve`.
     """
     check(study)
     if on_wait is not None:
@@ -154,7 +163,14 @@ def solve(
     study = dataclasses.replace(study, scene=jaxform.fitted(study.scene, int(first.used.sum())))
     schedule = None if study.scene.refinement is None else first.schedule
     search = Search(
-        study, on_evaluation, forward_seconds, schedule=schedule, journal=journal or Journal(), on_wait=on_wait
+        study,
+        on_evaluation,
+        forward_seconds,
+        schedule=schedule,
+        journal=journal or Journal(),
+        on_wait=on_wait,
+        evaluators=evaluators,
+        programs={} if programs is None else programs,
     )
     warnings: list[str] = []
 
@@ -251,8 +267,6 @@ def _run_search(
 ) -> Ending:
     """Warm starts, a look at the first gradient, its check and the search; why it ended."""
     free = search.start
-    if study.starts > 1:
-        free = _best_start(search, study)
     warm = warm_start(search, study, free)
     if warm is not None and search.best is not None:
         search.updates, (last, _) = search.iteration, warm
@@ -263,6 +277,9 @@ def _run_search(
     point = search.evaluate_forward(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
     if search.stopped:
         return STOPPED
+    if not np.isfinite(point.value) and study.first is not None:
+        point = _approach_own_design(search, study, point)
+        free = point.free
     if not np.isfinite(point.value):
         return Ending("failure", "the first design fails")
     if study.method != "fixed-point":
@@ -275,22 +292,12 @@ def _run_search(
     return rounds(search, study, point, method) if study.objective.constrained else method(search, study, point)[1]
 
 
-def _best_start(search: Search, study: Study) -> np.ndarray:
-    """The best of several designs about the first one, simulated side by side."""
-    first = search.start
-    strewn = _SPREAD * np.random.default_rng(0).normal(size=(study.starts - 1, first.size))
-    designs = np.concatenate([first[None], search.inside(first + strewn)])
-
-    def work() -> Answer:
-        rows = [search.changes(jax.numpy.asarray(design)) for design in designs]
-        stacked = {path: np.stack([np.asarray(row[path]) for row in rows]) for path in rows[0]}
-        results = jaxform.simulate_batch(search.study.scene, stacked)
-        values = []
-        for k, row in enumerate(rows):
-            result = jax.tree.map(lambda leaf, k=k: leaf[k], results)
-            value, report = search.judge(jaxform.replace(search.study.scene, row), result, search.limits)
-            good = not int(report["status"]) and np.isfinite(value)
-            values.append(float(value) if good else np.inf)
-        return {"values": values, "spent": len(designs) * search.forward_seconds}
-
-    return designs[int(np.argmin(search.ask("starts", designs.ravel(), work)["values"]))]
+def _approach_own_design(search: Search, study: Study, point: Point) -> Point:
+    """The first point on the way from a start that fails to the scene's own design that does not, by halving it."""
+    own = np.concatenate([variable.start for variable in study.variables])
+    for _ in range(_HALVINGS):
+        free = 0.5 * (point.free + own)
+        point = search.evaluate_forward(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
+        if np.isfinite(point.value) or search.stopped:
+            break
+    return point

@@ -100,6 +100,8 @@ def _parser() -> argparse.ArgumentParser:
         if name == "optimize":
             words = "resume the search in DIR after an interruption, or with more iterations"
             sub.add_argument("--resume", action="store_true", help=words)
+            words = "processes of this machine for several starts (solver.starts); default: 1"
+            sub.add_argument("--workers", metavar="N", type=sweep_command.process_count, default=1, help=words)
         sub.set_defaults(command=command)
     words = "compute many designs of a scene: a row of results for each, pictures and a report"
     swept = commands.add_parser("sweep", help=words, description=words)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 from jaxform.cli import session
 from jaxform.core.errors import InputError, InputWarning, warn_of
+
+STARTS = "starts.csv"
+_SAME = 0.1  # of the objective, within which two starts lead to the same
 
 
 def optimize_study(arguments: argparse.Namespace) -> int:
@@ -35,16 +40,28 @@ def optimize_study(arguments: argparse.Namespace) -> int:
         )
         warn_of(problem, remedy, key="--resume", value=str(folder))
     session.open_folder(folder, arguments.force or (arguments.resume and os.path.exists(notes)))
+    if not arguments.resume:
+        _remove_journals(folder)
     journal = optimize.Journal(notes, f"{study.digest} {arguments.dtype}", arguments.resume)
     rows: list[dict[str, Any]] = []
-    with session.progress(not arguments.quiet, "designing") as bar:
+    ended: list[dict[str, Any]] = []
+    with _executor(arguments) as executor, session.progress(not arguments.quiet, "designing") as bar:
 
         def on_evaluation(row: dict[str, Any]) -> None:
             rows.append(row)
             # Rewritten each time: a search that is killed leaves its results so far.
             optimize.write_history(folder / "history.csv", rows)
             if bar is not None:
-                bar(min(row["iteration"] / study.iterations, 1.0), _progress_words(row))
+                done = len(ended) + min(row["iteration"] / study.iterations, 1.0)
+                bar(done / study.starts, _progress_words(row))
+
+        def on_start(row: dict[str, Any]) -> None:
+            rows.clear()
+            ended.append(row)
+            optimize.write_starts(folder / STARTS, sorted(ended, key=lambda row: row["start"]))
+            say(f"start {row['start']}, {len(ended)} of {study.starts} done: {_start_words(row)}")
+            if bar is not None:
+                bar(len(ended) / study.starts, f"{len(ended)} of {study.starts} starts")
 
         def on_check(error: float) -> None:
             say(f"gradient along one direction: relative difference to central differences {error:.1e}")
@@ -58,15 +75,49 @@ def optimize_study(arguments: argparse.Namespace) -> int:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", InputWarning)
                 design = optimize.solve(
-                    study, on_evaluation, on_check=on_check, on_warning=on_warning, on_wait=say, journal=journal
+                    study,
+                    on_evaluation,
+                    on_check=on_check,
+                    on_warning=on_warning,
+                    on_wait=say,
+                    on_start=on_start,
+                    journal=journal,
+                    executor=executor,
                 )
         except InputError as error:
             raise error.with_context(file=study.file) from None
     if journal.replayed:
         say(f"{journal.replayed} evaluations were reused from the journal")
+    optimize.write_history(folder / "history.csv", design.history)
     _write_design(arguments, study, design, reference)
     _tell_design(say, design, folder)
     return _exit_status(design)
+
+
+@contextlib.contextmanager
+def _executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
+    """Yields the processes of the command, ended whatever happens; None where one is enough: this one."""
+    if arguments.workers == 1:
+        yield None
+        return
+    from jaxform.sweeps.workers import LocalWorkers
+
+    executor = LocalWorkers(arguments.workers)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _remove_journals(folder: Path) -> None:
+    """Removes the table and journals of another study's starts, which would otherwise be resumed some day."""
+    for path in [folder / STARTS, *folder.glob("search.*.jsonl")]:
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+def _start_words(row: dict[str, Any]) -> str:
+    return row["status"] if row["objective"] == "" else f"objective {row['objective']:.4g}, {row['status']}"
 
 
 def _exit_status(design: Any) -> int:
@@ -120,6 +171,17 @@ def _changes_sheet(changes: dict[str, Any]) -> bool:
     return any(key.startswith(("parison.", "material.")) for key in changes)
 
 
+def _compare_starts(design: Any) -> str:
+    """How many starts lead to the same objective, in words."""
+    found = [row["objective"] for row in design.starts if row["objective"] != ""]
+    near = sum(value <= (1.0 + _SAME) * design.objective for value in found)
+    failed = len(design.starts) - len(found)
+    return (
+        f"{near} of {len(design.starts)} starts end within {100 * _SAME:.0f} % of the best objective, the others with "
+        f"up to {max(found):.4g}; {failed} failed ({STARTS})"
+    )
+
+
 def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
     facts = design.summary()
     first, best = facts["before"], facts["after"]
@@ -133,6 +195,8 @@ def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
         f"variation {100 * first['wall_cv']:.3g} % -> {100 * best['wall_cv']:.3g} %, mass {1e3 * first['mass']:.4g} -> "
         f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
     )
+    if design.starts:
+        say(_compare_starts(design))
     if facts["multiplier"] is not None:
         # The violations are reported with the status.
         kept = "violated" if design.broken else f"satisfied to {100 * facts['violation']:.2g} %"

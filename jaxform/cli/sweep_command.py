@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", metavar="SCENE", help="the scene that a table changes: a name or a .toml file")
     words = "processes of this machine (default: one per core); each uses its share of the cores"
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", metavar="N", type=_count, help=words)
+    where.add_argument("--workers", metavar="N", type=process_count, help=words)
     words = "address of a Dask scheduler, such as tcp://host:8786; needs jaxform[cluster]"
     where.add_argument("--scheduler", metavar="ADDRESS", help=words)
     words = "resume the sweep in DIR; recorded rows are not computed again"
@@ -42,7 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite results in DIR")
 
 
-def _count(text: str) -> int:
+def process_count(text: str) -> int:
+    """The number of processes that a command line asks for."""
     if not text.isdecimal() or not 0 < int(text) <= 4096:
         raise argparse.ArgumentTypeError(f"{text!r} is no number of processes; give 1 or more")
     return int(text)

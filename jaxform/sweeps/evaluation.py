@@ -57,6 +57,13 @@ class Setting:
     client: str = ""
 
 
+def worker_setting(shared: bool = True) -> Setting:
+    """How workers compute as this process does; with its cache, or each with that of its own machine."""
+    folder = disk.user_cache_folder() if shared else None
+    precision = "float64" if jax.config.read("jax_enable_x64") else "float32"
+    return Setting(precision, None if folder is None else str(folder), this_process())
+
+
 class Evaluated(NamedTuple):
     """What a worker gives for a design.
 

@@ -14,13 +14,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxform.core import disk
 from jaxform.core.cores import usable_cores
 from jaxform.core.errors import InputError
 from jaxform.model.scene import Scene
 from jaxform.sweeps.designs import SCENE, Design, Rows, make_designs, parse_path
 from jaxform.sweeps.engine import Outcome, evaluate
-from jaxform.sweeps.evaluation import Setting, call_function, measure, pack_scene, this_process
+from jaxform.sweeps.evaluation import call_function, measure, pack_scene, worker_setting
 from jaxform.sweeps.folder import head
 from jaxform.sweeps.records import MEASURES, Records, number
 from jaxform.sweeps.workers import DaskWorkers, LocalWorkers
@@ -87,7 +86,7 @@ def sweep(
     left = [place for place in range(len(designs)) if place not in outcomes]
     if left:
         pool, own = _pool(executor, workers, len(left))
-        setting = Setting(_precision(), _cache(own), this_process())
+        setting = worker_setting(shared=own)
         arguments = [(function, _sent(designs[place], given[place]), setting) for place in left]
         try:
             for place, outcome in evaluate(call_function, arguments, pool):
@@ -138,12 +137,6 @@ def _scene_digest(scene: Scene, about: str) -> str:
 
 def _precision() -> str:
     return "float64" if jax.config.read("jax_enable_x64") else "float32"
-
-
-def _cache(own: bool) -> str | None:
-    """The cache that local workers share; those of others find their own."""
-    folder = disk.user_cache_folder() if own else None
-    return None if folder is None else str(folder)
 
 
 def _pool(executor: Any, workers: int | None, count: int) -> tuple[Executor, bool]:

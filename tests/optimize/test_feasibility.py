@@ -201,7 +201,7 @@ def _counting(study: optimize.Study, seconds: float = 0.0) -> Search:
         ratio = np.full(study.scene.parison.thickness.size, 1.1)
         return wall | {"value": value, "objective": value, "ratio": ratio.tolist(), "spent": 2.0}
 
-    search._forward = forward  # pyright: ignore
+    search.forward = forward  # pyright: ignore
     return search
 
 

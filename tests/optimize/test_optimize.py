@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 import jaxform
 import optimize
 from jaxform.mesh.profiles import Profile
-from optimize import objectives
+from optimize import objectives, starts
 from optimize.designs import KEPT
 from optimize.search import Search
 from optimize.wall_statistics import formed_area
@@ -243,14 +244,98 @@ def test_a_journal_of_another_course_is_left_where_they_part(tmp_path: Path) -> 
     assert [line.split('"at": ')[1][:5] for line in path.read_text().splitlines()[1:]] == ["[1.0]", "[2.5]"]
 
 
-def test_several_starts_begin_at_the_best() -> None:
-    """Without an update, the first row is where the search begins; the scene's own design is one of the starts."""
-    # From a sheet much too thick nearly half of what is strewn about it is better.
-    plain = _study(method="fixed-point", iterations=1)
+def _fixed_point(starts: int, scene: jaxform.Scene | None = None, **options: Any) -> optimize.Study:
+    """A search by a few updates from each start, of a sheet much too thick; it compiles no gradient."""
+    plain = _study(method="fixed-point", iterations=2, starts=starts, digest="this one")
     thick = jaxform.replace(plain.scene, {"parison.thickness": 1.6 * plain.scene.parison.thickness})
-    study = dataclasses.replace(plain, scene=thick, variables=(_profile(thick),))
-    one, several = (optimize.solve(dataclasses.replace(study, starts=n)).history[0] for n in (1, 16))
-    assert several["objective"] < one["objective"]
+    return dataclasses.replace(plain, scene=thick, variables=(_profile(thick),), **options)
+
+
+def test_several_starts_are_whole_searches_within_the_bounds_the_best_of_which_is_the_result() -> None:
+    study = _fixed_point(5)
+    points = starts.starting_points(study)
+    assert points[0] is None and len(points) == 5
+    inside = np.array(points[1:])
+    shares = 0.5 + 0.5 * inside / study.variables[0].reach
+    # Low-discrepancy: the four points have one in each quarter of the range of each number.
+    assert all(sorted(np.floor(4.0 * column)) == [0.0, 1.0, 2.0, 3.0] for column in shares.T)
+    # More starts add to those that there are.
+    np.testing.assert_array_equal(inside[:2], np.array(starts.starting_points(_fixed_point(3))[1:]))
+    rows: list[dict[str, Any]] = []
+    design = optimize.solve(study, on_start=rows.append)
+    assert design.starts == rows and [row["start"] for row in rows] == [1, 2, 3, 4, 5]
+    alone = [optimize.solve(dataclasses.replace(study, starts=1, first=point)) for point in points]
+    assert [row["objective"] for row in rows] == [one.objective for one in alone]
+    best = min(alone, key=lambda one: one.objective)
+    assert design.objective == best.objective < alone[0].objective and design.history[0] == pytest.approx(
+        best.history[0] | {name: design.history[0][name] for name in ("simulations", "seconds")}, nan_ok=True
+    )
+    # "Before" is the scene's own design, though the best search began elsewhere.
+    assert design.summary()["before"]["objective"] == alone[0].history[0]["objective"]
+
+
+def test_starts_on_an_executor_are_the_same_and_more_of_them_repeat_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "search.jsonl"
+    here = optimize.solve(_fixed_point(2), journal=optimize.Journal(path, "this one"))
+    again = optimize.Journal(path, "this one", resume=True)
+    with ThreadPoolExecutor(2) as executor:
+        more = optimize.solve(_fixed_point(3), journal=again, executor=executor)
+    assert again.replayed == sum(file.read_text().count("\n") - 1 for file in (path, tmp_path / "search.2.jsonl"))
+    assert [row["objective"] for row in more.starts[:2]] == [row["objective"] for row in here.starts]
+    alone = optimize.solve(_fixed_point(3))
+    assert [row["objective"] for row in more.starts] == [row["objective"] for row in alone.starts]
+    np.testing.assert_array_equal(more.result.thickness, alone.result.thickness)
+
+
+def test_a_start_that_fails_is_a_named_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = starts.starting_points(_fixed_point(3))
+
+    class Failing(Search):
+        def forward(self, free: np.ndarray) -> Any:
+            if self.study.first is not None and np.array_equal(self.study.first, points[1]):
+                return super().forward(free) | {"status": 1}
+            return super().forward(free)
+
+    monkeypatch.setattr("optimize.solvers.Search", Failing)
+    design = optimize.solve(_fixed_point(3))
+    assert "fails" in design.starts[1]["status"] and design.starts[1]["objective"] == ""
+    assert [row["status"] for row in (design.starts[0], design.starts[2])] == ["ok", "ok"]
+    assert design.summary()["starts"] == design.starts
+    monkeypatch.setattr(Failing, "forward", lambda self, free: Search.forward(self, free) | {"status": 1})
+    with pytest.raises(jaxform.InputError, match="the initial design, moved into the bounds, fails"):
+        optimize.solve(_fixed_point(3))
+
+
+def test_a_start_that_fails_is_moved_towards_the_scene_s_own_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    study = _fixed_point(2)
+    start = starts.starting_points(study)[1]
+    own = np.concatenate([variable.start for variable in study.variables])
+    assert start is not None
+
+    class Failing(Search):
+        def forward(self, free: np.ndarray) -> Any:
+            return super().forward(free) | ({"status": 1} if np.array_equal(free, start) else {})
+
+    monkeypatch.setattr("optimize.solvers.Search", Failing)
+    found = optimize.solve(dataclasses.replace(study, starts=1, first=start)).history
+    halfway = optimize.solve(dataclasses.replace(study, starts=1, first=0.5 * (start + own))).history
+    assert found[0]["objective"] == np.inf and found[1]["objective"] == halfway[0]["objective"]
+
+
+class _Counting(ThreadPoolExecutor):
+    count = 0
+
+    def submit(self, *arguments: Any, **named: Any) -> Any:
+        self.count += 1
+        return super().submit(*arguments, **named)
+
+
+def test_the_differences_that_check_a_gradient_go_through_the_executor() -> None:
+    study = _study(iterations=1, method="least-squares")
+    with _Counting(2) as executor:
+        found = optimize.solve(study, executor=executor).gradient_error
+    assert executor.count >= 2 and executor.count % 2 == 0
+    assert found == optimize.solve(study).gradient_error
 
 
 @pytest.mark.parametrize(

@@ -132,6 +132,29 @@ def test_the_command_goes_on_after_a_kill(
     assert "another study" in capfd.readouterr().err
 
 
+def test_starts_on_two_processes_are_those_of_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    solver = 'method = "fixed-point"\niterations = 1\nstarts = 3'
+    path = _write(tmp_path, [FIELD + "smoothness = 0.05"], TARGET, solver)
+    tables = []
+    for workers in ("1", "2"):
+        out = tmp_path / workers
+        assert command.main(["optimize", str(path), "--out", str(out), "--workers", workers]) == 0
+        assert "of 3 starts end within 10 %" in capfd.readouterr().out
+        tables.append(np.genfromtxt(out / "starts.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"))
+        assert list(tables[-1]["start"]) == [1, 2, 3] and set(tables[-1]["status"]) == {"ok"}
+        summary = json.loads((out / "summary.json").read_text())["design"]
+        assert [row["objective"] for row in summary["starts"]] == list(tables[-1]["objective"])
+        assert summary["after"]["objective"] == tables[-1]["objective"].min()
+        history = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
+        assert history["objective"].min() == tables[-1]["objective"].min()
+    # The tests compile with other settings than the processes that they start: all but the last bits are the same.
+    np.testing.assert_allclose(tables[0]["objective"], tables[1]["objective"], rtol=1e-10)
+    # What is begun anew removes what could be taken for its own later.
+    path.write_text(path.read_text().replace("starts = 3", "starts = 1"))
+    assert command.main(["optimize", str(path), "--out", str(tmp_path / "1"), "--force"]) == 0
+    assert not (tmp_path / "1" / "starts.csv").exists() and not list((tmp_path / "1").glob("search.*.jsonl"))
+
+
 def test_every_built_in_study_is_valid_and_so_is_its_scene() -> None:
     scenes = catalog.built_in("scene")
     for name, path in catalog.built_in("study").items():

@@ -241,7 +241,8 @@ class _SearchTable(Table):
         goal: Stops when the objective is at most this.
         warm_start: Updates of the fixed point before the first iteration; by default as many as halve the objective,
             for a target or an even wall of which the sheet is a variable.
-        starts: Number of designs, scattered about the first one; the search starts at the best.
+        starts: Number of whole searches: one from the scene's own design, the others from points spread evenly within
+            the bounds; the best design is the result. Limits on iterations, simulations and time are those of each.
         rounds: Largest number of multiplier rounds for limits.
     """
 
