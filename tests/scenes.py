@@ -65,19 +65,21 @@ def assert_slopes(
     objective: Callable[[dict[str, jax.Array]], tuple[jax.Array, dict[str, jax.Array]]],
     numbers: dict[str, jax.Array],
     size: float = 1e-5,
-    value_alone: Callable[[dict[str, jax.Array]], jax.Array] | None = None,
 ) -> jax.Array:
-    """The slopes by each of the numbers, against central differences along a random direction; returns the value.
+    """The slopes by all numbers, against one central difference along a random direction; returns the value.
 
-    The objective gives value and slopes, compiled once; a difference is about that share of the numbers. Where slopes
-    take long, the differences are those of the value alone.
+    The objective gives value and slopes, compiled once. The largest change is about `size` of a number. Each number's
+    change is scaled so that it adds as much to the difference as every other: one wrong slope in `n` is then seen as
+    well as with a difference of its own, by a bound that is `n` times as sharp.
     """
     value, slopes = objective(numbers)
-    compute = value_alone or (lambda numbers: objective(numbers)[0])
-    for name, values in numbers.items():
-        change = size * np.random.default_rng(1).standard_normal(values.shape) * values
-        ends = [float(compute(numbers | {name: values + sign * change})) for sign in (1, -1)]
-        np.testing.assert_allclose(jnp.vdot(slopes[name], change), (ends[0] - ends[1]) / 2, rtol=1e-6)
+    random = {name: np.random.default_rng(1).standard_normal(part.shape) * part for name, part in numbers.items()}
+    shares = {name: float(jnp.vdot(slopes[name], way)) for name, way in random.items()}
+    assert all(shares.values()), shares
+    least = min(map(abs, shares.values()))
+    changes = {name: size * least / shares[name] * way for name, way in random.items()}
+    ends = [float(objective({name: numbers[name] + sign * changes[name] for name in numbers})[0]) for sign in (1, -1)]
+    np.testing.assert_allclose(size * least * len(numbers), (ends[0] - ends[1]) / 2, rtol=1e-6 / len(numbers))
     return value
 
 

@@ -144,7 +144,6 @@ def _figure(
 
 
 _both = jax.jit(jax.value_and_grad(_figure, has_aux=True))
-_figure_alone = jax.jit(lambda *arguments: _figure(*arguments)[0])
 
 
 class Case(NamedTuple):
@@ -239,11 +238,7 @@ def test_gradients_equal_central_differences_by_every_number(case: Case) -> None
         (value, _), slopes = _both(numbers, *given)
         return value, slopes
 
-    # Where no step can be taken back the slopes take many times as long as the part.
-    slow = not case.scene.reversible and not case.scene.fields
-    scenes.assert_slopes(
-        objective, case.numbers, value_alone=(lambda numbers: _figure_alone(numbers, *given)) if slow else None
-    )
+    scenes.assert_slopes(objective, case.numbers)
 
 
 @pytest.mark.parametrize("case", [name for name in MAKE if name != "cooled"], indirect=True)
