@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import functools
+import importlib
+import multiprocessing
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +84,18 @@ def assert_slopes(
     ends = [float(objective({name: numbers[name] + sign * changes[name] for name in numbers})[0]) for sign in (1, -1)]
     np.testing.assert_allclose(size * least * len(numbers), (ends[0] - ends[1]) / 2, rtol=1e-6 / len(numbers))
     return value
+
+
+def _configure() -> None:
+    """Makes a new process compile and compute as the tests do."""
+    importlib.import_module("tests.conftest")
+
+
+def call_elsewhere[T](function: Callable[[], T]) -> T:
+    """What a function of a module returns in a new process, to which JAX's memory of traced functions is confined."""
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn, initializer=_configure) as fresh:
+        return fresh.submit(function).result()
 
 
 def begin_run(scene: Scene) -> tuple[State, Discretization]:

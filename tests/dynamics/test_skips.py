@@ -120,15 +120,16 @@ def test_a_node_of_many_elements_hands_its_surplus_to_a_list(
         np.testing.assert_allclose(got, expected, atol=1e-12 * float(jnp.abs(expected).max()))
 
 
-def test_without_blocks_the_force_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on devices other than the CPU, where whole arrays are worked through at once."""
+def _run_without_blocks() -> jaxform.Result:
+    """The cup, in a process of another device's ways: whole arrays are worked through at once."""
     scene = scenes.cup()
-    in_blocks = jaxform.run(scene)
-    monkeypatch.setattr(blocks.jax, "default_backend", lambda: "another")
-    jax.clear_caches()
-    whole = jaxform.run(scene)
-    monkeypatch.undo()
-    jax.clear_caches()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(blocks.jax, "default_backend", lambda: "another")
+        return jaxform.run(scene)
+
+
+def test_without_blocks_the_force_is_the_same() -> None:
+    in_blocks, whole = jaxform.run(scenes.cup()), scenes.call_elsewhere(_run_without_blocks)
     assert int(whole.steps) == int(in_blocks.steps)
     np.testing.assert_allclose(whole.positions, in_blocks.positions, atol=1e-11)
 

@@ -179,7 +179,8 @@ def test_the_stable_step_and_the_energy_know_all_second_derivatives(
 @pytest.mark.parametrize(
     ("one", "other"),
     [
-        (jaxform.MooneyRivlin(real(1.0), real(0.1), real(1.0)), ogden([2.0, -0.2], [2.0, -2.0])),
+        # As many terms as the rubber has, whose programs it then finds.
+        (jaxform.MooneyRivlin(real(1.0), real(0.1), real(1.0)), ogden([2.0, -0.2, 0.0], [2.0, -2.0, 5.0])),
         (jaxform.NeoHookean(real(1.0), real(1.0)), jaxform.Yeoh(real(1.0), real(0.0), real(0.0), real(1.0))),
     ],
 )
@@ -213,7 +214,9 @@ def test_a_sphere_snaps_above_the_pressure_that_it_can_bear_at_once() -> None:
             seen.append(float(np.linalg.norm(np.asarray(moment.result().positions), axis=1).mean()))
             return seen[-1] > 2.5
 
-        jaxform.run(scenes.sphere(512, share * 487964 / SCALE, RUBBER, [0.0], end_time=9.0), on_window=look)
+        jaxform.run(
+            scenes.sphere(512, share * 487964 / SCALE, RUBBER, [0.0], end_time=9.0, damping=0.0), on_window=look
+        )
         assert (max(seen) > 2.5) == snaps and (snaps or max(seen) < 1.6)
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import jax
@@ -243,8 +241,7 @@ def _programs() -> list[set[str]]:
 
 def test_what_a_scene_does_not_use_is_not_in_its_program() -> None:
     # In a process of its own: JAX traces a function once, and names ever after who called it first, here another test.
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as fresh:
-        free, cup, loaded = fresh.submit(_programs).result()
+    free, cup, loaded = scenes.call_elsewhere(_programs)
     for part in ("contact/candidates.py", "contact/broad_phase.py", "contact/sticking.py", "pack_moving"):
         assert part in cup and part not in free
     absent = {
