@@ -168,10 +168,9 @@ def test_a_sheet_with_modes_far_below_the_step_balances(kind: Any, time: float) 
     np.testing.assert_allclose(result.positions, jaxform.run(alone).positions, atol=2e-3)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_master_curve_from_the_glass_transition_on_runs(kind: Any) -> None:
+def test_a_master_curve_from_the_glass_transition_on_runs() -> None:
     """Modes of 1e-8 to 1e6 s at 100 degC, in a sheet of 160 degC: 4e-18 s and up."""
-    law = _law(kind, modulus=(0.5, 0.5, 0.5), time=(1e-8, 1.0, 1e6))
+    law = _law(jaxform.Maxwell, modulus=(0.5, 0.5, 0.5), time=(1e-8, 1.0, 1e6))
     law = dataclasses.replace(law, shift=jaxform.Wlf(real(100.0), real(17.44), real(51.6)))
     plain = scenes.sphere(512, 2.0, scenes.mooney(0.0), [0.0], end_time=1.0)
     scene = jaxform.build_scene(
@@ -219,15 +218,6 @@ def _cup(kind: Any) -> jaxform.Scene:
         mold=plain.mold,
         fill=False,
     )
-
-
-def test_a_skip_changes_nothing() -> None:
-    scene = _cup(jaxform.Maxwell)
-    packed = jaxform.run(scene)
-    whole = jaxform.run(dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, skip_stuck=False)))
-    np.testing.assert_allclose(packed.positions, whole.positions, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(packed.energy.strain, whole.energy.strain, rtol=1e-9)
-    np.testing.assert_allclose(packed.energy.viscous_loss, whole.energy.viscous_loss, rtol=1e-3)
 
 
 @pytest.mark.parametrize("kind", KINDS)
