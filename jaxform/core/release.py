@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+UNKNOWN = "of unknown version"
+
 
 def version() -> str:
     """The version, as the installed package tells it."""
@@ -10,4 +12,4 @@ def version() -> str:
     try:
         return metadata.version("jaxform")
     except metadata.PackageNotFoundError:  # on the path without being installed
-        return "of unknown version"
+        return UNKNOWN

@@ -6,17 +6,21 @@ Imports nothing heavy: a process that is spawned reads this module before its th
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import queue
 import signal
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from importlib import metadata
+from importlib.metadata import PackageNotFoundError
 from threading import Thread
 from typing import Any
 
+from jaxform.core import release
 from jaxform.core.cores import SHARE, usable_cores
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, warn_of
 
 _GATHERERS = 16  # results that are brought from a cluster at a time
 _THREADS = (SHARE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
@@ -108,6 +112,9 @@ class DaskWorkers(Executor):
 
     Args:
         client: A `distributed.Client`.
+
+    Raises:
+        InputError: A worker has another version of jaxform, or none.
     """
 
     width = 1000
@@ -118,6 +125,58 @@ class DaskWorkers(Executor):
         self._client = client
         # Dask calls back on one thread, which must not wait for a result that is lost and computed again.
         self._gatherers = ThreadPoolExecutor(_GATHERERS)
+        self._known: set[str] = set()  # workers that have the right version
+        self._waiting = False
+        self._check_versions()
+
+    @property
+    def address(self) -> str:
+        """Address of the scheduler."""
+        return str(self._client.scheduler.address)
+
+    def look(self) -> None:
+        """Looks whether there are workers, and whether new ones have this version of jaxform.
+
+        Raises:
+            InputError: One has not, or the scheduler is gone.
+
+        Warns:
+            InputWarning: There are none; once for each time.
+        """
+        count = self._check_versions()
+        if not count and not self._waiting:
+            problem = "has 0 workers: they are waited for"
+            warn_of(
+                problem,
+                f"start some with `dask worker {self.address}`, or end this with Ctrl-C",
+                key="scheduler",
+                value=self.address,
+            )
+        self._waiting = not count
+
+    def _check_versions(self) -> int:
+        """Number of workers; raises where one that was not asked before has another version of jaxform than this."""
+        try:
+            present = set(self._client.nthreads())
+            fresh = sorted(present - self._known)
+            found = self._ask(fresh) if fresh else {}
+        except (OSError, TimeoutError, CancelledError) as error:
+            problem = f"is gone ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+            raise InputError(problem, "start it again, then resume", "scheduler", self.address) from None
+        own = release.version()
+        for worker, has in found.items():
+            if has != own:
+                what = f"has a worker, {worker}, with {_name(has)}, and this process has {_name(own)}"
+                remedy = "install the same version on all workers"
+                raise InputError(what, remedy, "scheduler", self.address)
+        self._known |= set(found)
+        return len(present)
+
+    def _ask(self, workers: list[str]) -> dict[str, str]:
+        """The versions of jaxform of those workers that answer; asked by the standard library, as some may lack it."""
+        told = self._client.run(metadata.version, "jaxform", workers=workers, on_error="return")
+        told |= {worker: release.UNKNOWN for worker, one in told.items() if isinstance(one, PackageNotFoundError)}
+        return {worker: one for worker, one in told.items() if isinstance(one, str)}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """The future of a call on a worker."""
@@ -143,22 +202,30 @@ class DaskWorkers(Executor):
         self._client.close()
 
 
+def _name(version: str) -> str:
+    return "no jaxform" if version == release.UNKNOWN else f"jaxform {version}"
+
+
 def connect(address: str) -> DaskWorkers:
     """The workers of the Dask scheduler at an address, such as tcp://host:8786.
 
     Raises:
-        InputError: Dask is not installed, or there is no such scheduler.
+        InputError: Dask is not installed, there is no such scheduler, or a worker has another version of jaxform.
     """
     try:
         from distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError:
         remedy = "install it: pip install 'jaxform[cluster]'"
         raise InputError("needs Dask, which is not installed", remedy, "--scheduler", address) from None
+    # What it tells of lost connections is told here in one line.
+    for name in [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        return DaskWorkers(Client(address, timeout="15s"))
+        client = Client(address, timeout="15s")
     except (OSError, ValueError, TimeoutError) as error:
         problem = f"cannot be reached ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
         raise InputError(problem, "start `dask scheduler`, and give its address", "--scheduler", address) from None
+    return DaskWorkers(client)
 
 
 def is_lost_worker(error: BaseException | None) -> bool:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,12 @@ def compute(task: Task) -> Any:
         os.kill(os.getpid(), signal.SIGKILL)
     if what == "slow":
         time.sleep(60.0)
+    if what == "starve":
+        import resource
+
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        resource.setrlimit(resource.RLIMIT_AS, (used + (1 << 27), resource.getrlimit(resource.RLIMIT_AS)[1]))
+        return len(jaxform.shapes.disc(radius=0.1, elements=2_000_000).triangles)
     return number**2
 
 
@@ -87,6 +93,32 @@ def test_with_one_worker_it_is_the_same(tmp_path: Path) -> None:
     found = _evaluate(_tasks(tmp_path, n0="die", n7="die once"), workers=1)
     assert found[0].status == engine.LOST and found[7].value == 49
     assert _times(tmp_path) == Counter({k: 2 if k in (0, 7) else 1 for k in range(8)})
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs Linux")
+def test_a_mesh_that_is_too_large_for_the_memory_is_a_row(tmp_path: Path) -> None:
+    found = _evaluate(_tasks(tmp_path, n3="starve"))
+    assert "not enough memory" in found[3].status and found[3].value is None
+    assert {k: one.value for k, one in found.items() if k != 3} == {k: k**2 for k in range(8) if k != 3}
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (CancelledError("0a cancelled\nthe connection is lost"), r"takes no more work \(the connection is lost\)"),
+        (ModuleNotFoundError("No module named 'jaxform'", name="jaxform"), "has a worker that lacks this program"),
+        (ModuleNotFoundError("No module named 'jaxform.x'", name="jaxform.x"), "has a worker that lacks this program"),
+    ],
+)
+def test_what_is_wrong_with_all_workers_ends_the_sweep(error: Exception, words: str, tmp_path: Path) -> None:
+    class Broken(Executor):
+        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+            future: Future[Any] = Future()
+            future.set_exception(error)
+            return future
+
+    with pytest.raises(jaxform.InputError, match=words):
+        list(engine.evaluate(compute, _tasks(tmp_path), Broken()))
 
 
 def test_executors_of_others_do(tmp_path: Path) -> None:
