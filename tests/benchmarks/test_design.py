@@ -8,17 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import optimize
 from benchmarks.design import figures, page
-from tests import scenes
+from tests.optimize.test_optimize import study_of_hidden_profile
 
 BUDGET = 12
 
 
 def _case() -> figures.Case:
-    scene = scenes.cup()
-    variable = optimize.ThicknessProfile(scene, along="radius", bounds=(0.004, 0.03), knots=3)
-    study = optimize.Study(scene, (variable,), optimize.Target(scene, 0.006))
+    """That of the tests of `optimize`, whose programs it then has."""
+    study = study_of_hidden_profile()
     own = {
         "least squares": {"method": "least-squares", "iterations": 2},
         "fixed point": {"method": "fixed-point", "iterations": 3},
@@ -30,7 +28,7 @@ def test_searches_are_compared_from_the_same_start_and_the_page_says_so(tmp_path
     others = ["Nelder-Mead", "random search"] + ["CMA-ES"] * (importlib.util.find_spec("cma") is not None)
     found = figures.compare(_case(), BUDGET, tuple(others))
     curves = found["curves"]
-    assert set(curves) == {"least squares", "fixed point", *others} and found["variables"] == 3
+    assert set(curves) == {"least squares", "fixed point", *others} and found["variables"] == 4
     for name, curve in curves.items():
         costs, merits = np.array(curve).T
         assert np.all(np.diff(costs) > 0) and np.all(np.diff(merits) < 0)
@@ -40,7 +38,7 @@ def test_searches_are_compared_from_the_same_start_and_the_page_says_so(tmp_path
     assert curves["least squares"][-1][1] < curves["random search"][-1][1]
     page.write({"searches": {"cup": found}}, tmp_path)
     text = (tmp_path / "design.md").read_text()
-    assert f"{curves['Nelder-Mead'][-1][1]:.4g}" in text and "a cup (3 variables)" in text
+    assert f"{curves['Nelder-Mead'][-1][1]:.4g}" in text and "a cup (4 variables)" in text
     assert (tmp_path / "search.png").stat().st_size > 10_000
 
 

@@ -101,8 +101,6 @@ def test_a_refined_sheet_with_a_free_edge_balances() -> None:
     result = jaxform.run(strip(refinement=refinement))
     assert int(jnp.sum(result.used)) > 40
     assert balance(result) < 5e-3
-    np.testing.assert_allclose(jaxform.simulate(strip(refinement=refinement)).energy.external_work,
-                               result.energy.external_work, rtol=1e-9)  # fmt: skip
 
 
 @pytest.fixture(scope="module")

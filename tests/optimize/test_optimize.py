@@ -41,7 +41,7 @@ def _hidden_wall() -> np.ndarray:
     return np.asarray(jaxform.run(jaxform.replace(scene, {"parison.thickness": sheet})).thickness)
 
 
-def _study(**options: Any) -> optimize.Study:
+def study_of_hidden_profile(**options: Any) -> optimize.Study:
     """The wall that a known profile makes, sought from a uniform sheet, by the method alone."""
     scene = scenes.cup()
     variable = _profile(scene)
@@ -122,7 +122,7 @@ def test_forming_time_is_near_the_last_contact_and_has_a_gradient() -> None:
 def test_the_search_recovers_a_known_profile() -> None:
     rows: list[dict[str, float]] = []
     errors: list[float] = []
-    study = _study(iterations=25, gradient_tolerance=1e-6, goal=1e-5)
+    study = study_of_hidden_profile(iterations=25, gradient_tolerance=1e-6, goal=1e-5)
     design = optimize.solve(study, rows.append, on_check=errors.append)
     assert design.history == rows and design.message == "the goal is reached"
     best = min(rows, key=lambda row: row["objective"])
@@ -136,7 +136,7 @@ def test_the_search_recovers_a_known_profile() -> None:
 
 
 def test_least_squares_recovers_it_in_three_iterations() -> None:
-    design = optimize.solve(_study(iterations=3, method="least-squares"))
+    design = optimize.solve(study_of_hidden_profile(iterations=3, method="least-squares"))
     assert min(row["thickness_rms_error"] for row in design.history) < 1e-3
     assert max(row["iteration"] for row in design.history) <= 3
     assert design.gradient_error is not None and design.gradient_error < 1e-6
@@ -168,7 +168,7 @@ def test_the_least_mass_keeps_its_minimum_and_names_its_price() -> None:
 
 
 def test_the_study_s_gradient_equals_central_differences() -> None:
-    search = Search(_study(), None, 1.0)
+    search = Search(study_of_hidden_profile(), None, 1.0)
     free = np.array([0.3, -0.2, 0.1, -0.4])
     slope = search(free).gradient
     for k, direction in enumerate(np.eye(4)):
@@ -197,7 +197,7 @@ class _Failing(Search):
 def test_a_failed_simulation_is_a_step_to_shorten(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A search whose first step fails ends with a better design all the same."""
     monkeypatch.setattr("optimize.solvers.Search", _Failing)
-    design = optimize.solve(_study(iterations=4, method=method, learning_rate=0.3))
+    design = optimize.solve(study_of_hidden_profile(iterations=4, method=method, learning_rate=0.3))
     values = [row["objective"] for row in design.history]
     assert "iterations" in design.message
     assert values[1] == np.inf and design.objective < 0.5 * values[0]
@@ -208,7 +208,7 @@ def test_an_interrupted_search_keeps_its_best_design() -> None:
         if row["evaluation"] == 2:
             raise KeyboardInterrupt
 
-    design = optimize.solve(_study(iterations=25), interrupt)
+    design = optimize.solve(study_of_hidden_profile(iterations=25), interrupt)
     assert design.message == "interrupted"
     assert len(design.history) == 3
     np.testing.assert_allclose(float(design.result.mass), min(design.history, key=lambda r: r["objective"])["mass"])
@@ -217,7 +217,7 @@ def test_an_interrupted_search_keeps_its_best_design() -> None:
 @pytest.mark.parametrize("method", ["lbfgs", "least-squares"])
 def test_a_killed_search_goes_on_where_it_was(tmp_path: Path, method: str) -> None:
     """Killed in the middle of writing a line, it has the same history in the end, and simulates nothing twice."""
-    study, path = _study(iterations=3, method=method, digest="this one"), tmp_path / "search.jsonl"
+    study, path = study_of_hidden_profile(iterations=3, method=method, digest="this one"), tmp_path / "search.jsonl"
     whole = optimize.solve(study, journal=optimize.Journal(path, study.digest))
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(lines[:-3]) + lines[-3][:40])
@@ -246,7 +246,7 @@ def test_a_journal_of_another_course_is_left_where_they_part(tmp_path: Path) -> 
 
 def _fixed_point(starts: int, scene: jaxform.Scene | None = None, **options: Any) -> optimize.Study:
     """A search by a few updates from each start, of a sheet much too thick; it compiles no gradient."""
-    plain = _study(method="fixed-point", iterations=2, starts=starts, digest="this one")
+    plain = study_of_hidden_profile(method="fixed-point", iterations=2, starts=starts, digest="this one")
     thick = jaxform.replace(plain.scene, {"parison.thickness": 1.6 * plain.scene.parison.thickness})
     return dataclasses.replace(plain, scene=thick, variables=(_profile(thick),), **options)
 
@@ -332,7 +332,7 @@ class _Counting(ThreadPoolExecutor):
 
 
 def test_the_differences_that_check_a_gradient_go_through_the_executor() -> None:
-    study = _study(iterations=1, method="least-squares")
+    study = study_of_hidden_profile(iterations=1, method="least-squares")
     with _Counting(2) as executor:
         found = optimize.solve(study, executor=executor).gradient_error
     assert executor.count >= 2 and executor.count % 2 == 0
@@ -350,11 +350,11 @@ def test_the_differences_that_check_a_gradient_go_through_the_executor() -> None
 )
 def test_what_does_not_go_together(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(jaxform.InputError, match=words):
-        optimize.solve(dataclasses.replace(_study(), **changes))
+        optimize.solve(dataclasses.replace(study_of_hidden_profile(), **changes))
 
 
 def test_a_scene_that_fails_is_refused() -> None:
-    study = _study()
+    study = study_of_hidden_profile()
     # A hundred steps do not suffice to form it.
     scene = study.scene
     endless = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, max_steps=100))
