@@ -70,38 +70,7 @@ _FIRST = (
 )
 
 
-# What a developer runs while working, `make quick`: files that compile little.
-_QUICK = {
-    "architecture",
-    "bisection",
-    "errors",
-    "formats",
-    "hostile",
-    "inputs",
-    "journal",
-    "laws",
-    "meshes",
-    "molds",
-    "new",
-    "opening",
-    "outlines",
-    "element_pairing",
-    "planform",
-    "raster",
-    "feasibility",
-    "recovery",
-    "scenes",
-    "mesh_connectivity",
-    "shapes",
-    "scene_checks",
-    "variables",
-}
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Puts the longest files first and leaves the order otherwise; marks the quick ones."""
-    for item in items:
-        if item.path.stem.removeprefix("test_") in _QUICK:
-            item.add_marker("quick")
+    """Puts the longest files first and leaves the order otherwise."""
     places = {f"test_{name}": place for place, name in enumerate(_FIRST)}
     items.sort(key=lambda item: places.get(item.path.stem, len(places)))

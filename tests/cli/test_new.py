@@ -18,6 +18,8 @@ from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import molds
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture(autouse=True, scope="module")
 def _own_cache() -> Iterator[None]:

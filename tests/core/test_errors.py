@@ -5,7 +5,11 @@ from __future__ import annotations
 import threading
 import warnings
 
+import pytest
+
 from jaxform.core.errors import collect_warnings, redirect_warnings, warn_of
+
+pytestmark = pytest.mark.quick
 
 
 def test_a_warning_of_another_thread_is_told_while_this_one_has_warnings_off() -> None:

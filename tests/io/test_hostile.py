@@ -22,6 +22,8 @@ from jaxform.io import catalog
 from jaxform.io.output import Frames
 from tests import scenes
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture(autouse=True)
 def _own_cache(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,6 +33,8 @@ from jaxform.results import summary
 from jaxform.sheet.state import Status
 from tests import scenes
 
+pytestmark = pytest.mark.quick
+
 _PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 

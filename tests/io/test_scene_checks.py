@@ -16,6 +16,8 @@ from jaxform.io.scene_checks import survey, warn_of_scene
 from jaxform.mesh import meshes
 from tests import scenes
 
+pytestmark = pytest.mark.quick
+
 CUP = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
 FLANGED = [[0.0, 0.05], [0.03, 0.05], [0.04, 0.0], [0.12, 0.0]]
 

@@ -8,6 +8,8 @@ import pytest
 from jaxform import shapes
 from jaxform.sheet import packing
 
+pytestmark = pytest.mark.quick
+
 STRIP = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 6]])
 FAN = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [5, 6, 7]])  # three at one edge, and one apart
 

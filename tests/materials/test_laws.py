@@ -23,6 +23,8 @@ from tests import scenes
 from tests.examples.yeoh import Yeoh
 from tests.scenes import real
 
+pytestmark = pytest.mark.quick
+
 
 @jaxform.law
 class Both(jaxform.Law):

@@ -17,6 +17,8 @@ from jaxform.mesh import bisection, topology
 from jaxform.mesh.bisection import TriangleForest
 from jaxform.sheet.discretization import NEVER
 
+pytestmark = pytest.mark.quick
+
 DEPTH = 4
 
 

@@ -22,6 +22,8 @@ from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh, read_mesh
 from tests import scenes
 
+pytestmark = pytest.mark.quick
+
 CUP = molds.revolved(profile=[[0.0, 0.05], [0.06, 0.05], [0.1, 0.0]], segments=12)
 POINTS, FACES = CUP.vertices, CUP.triangles
 SOUP = POINTS[FACES]

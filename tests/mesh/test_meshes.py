@@ -14,6 +14,8 @@ from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh, drop_degenerate, read_mesh, weld, write_pvd, write_vtu
 
+pytestmark = pytest.mark.quick
+
 FORMATS = [
     *("stl-ascii", "stl-binary", "obj", "off", "vtk-ascii", "vtk-binary"),
     *("ply-ascii", "ply-binary", "vtu", "msh22-ascii", "msh41-binary"),

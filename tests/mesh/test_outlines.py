@@ -7,6 +7,8 @@ from jaxform.core.errors import InputError
 from jaxform.mesh import bisection, outlines, shapes, topology
 from jaxform.mesh.shapes import Sheet
 
+pytestmark = pytest.mark.quick
+
 L_SHAPE = [[0.0, 0.0], [0.2, 0.0], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0.0, 0.2]]
 
 

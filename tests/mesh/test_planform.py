@@ -5,6 +5,8 @@ import pytest
 
 from jaxform.mesh import planform, topology
 
+pytestmark = pytest.mark.quick
+
 
 def polygon_area(loop: np.ndarray) -> float:
     following = np.roll(loop, -1, axis=0)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from jaxform.mesh import raster
+
+pytestmark = pytest.mark.quick
 
 
 def test_values_and_weights_at_pixels_are_linear_in_the_triangle() -> None:

@@ -18,6 +18,8 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
 from jaxform.mesh.shapes import disc, from_mesh, rectangle, sphere
 
+pytestmark = pytest.mark.quick
+
 SYMMETRIES = ["none", "half", "quarter"]
 KEPT = {"none": 1.0, "half": 0.5, "quarter": 0.25}
 CUTS = {"none": [], "half": [0], "quarter": [0, 1]}

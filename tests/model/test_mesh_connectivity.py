@@ -16,6 +16,8 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.model import mesh_connectivity
 from tests import scenes
 
+pytestmark = pytest.mark.quick
+
 Array = NDArray[np.float64]
 
 

@@ -21,6 +21,8 @@ from optimize.search import Search
 from optimize.termination import Ending, budget_ending, check_convergence
 from tests import scenes
 
+pytestmark = pytest.mark.quick
+
 BOUNDS = (0.004, 0.03)
 
 

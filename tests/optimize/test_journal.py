@@ -16,6 +16,8 @@ from jaxform.core.disk import PREFIX, atomic_path
 from optimize import Journal, write_history
 from optimize.designs import COLUMNS
 
+pytestmark = pytest.mark.quick
+
 STUDY = "study"
 
 

@@ -25,6 +25,8 @@ from optimize.variables import (
 from tests import scenes
 from tests.examples.cooling import Cooling
 
+pytestmark = pytest.mark.quick
+
 BOUNDS = (0.005, 0.02)
 
 

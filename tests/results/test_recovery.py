@@ -14,6 +14,8 @@ import jaxform
 from jaxform.results.recovery import nodal_ratio
 from tests import scenes
 
+pytestmark = pytest.mark.quick
+
 
 def _at_nodes(sheet: jaxform.shapes.Sheet) -> Callable[[jax.Array], jax.Array]:
     """What gives a sheet's values at the nodes from those of its elements."""

@@ -14,6 +14,8 @@ import pytest
 import jaxform
 from jaxform import scenes, shapes
 
+pytestmark = pytest.mark.quick
+
 FUNCTIONS: dict[str, Callable[..., jaxform.Scene]] = {
     "dish": scenes.dish,
     "box-insert": scenes.box_insert,

@@ -12,6 +12,8 @@ from jaxform.mesh import topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools.molds import bottle_half, box_insert, divided, from_mesh, revolved
 
+pytestmark = pytest.mark.quick
+
 CUP = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
 BOX = Mesh(
     np.array([[x, y, z] for x in (0, 1) for y in (0, 2) for z in (0, 3)], float),

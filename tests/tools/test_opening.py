@@ -11,6 +11,8 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
 from jaxform.tools import covers, footprint, molds, opening
 
+pytestmark = pytest.mark.quick
+
 TURNS = [(0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (0.0, 90.0, 0.0), (30.0, -50.0, 110.0)]
 
 
