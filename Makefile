@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad strangers fuzz killed docs quick waiting planted
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad strangers fuzz killed docs quick waiting planted sweeps
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -120,6 +120,12 @@ beside: environment
 # How long one waits before the first step: first and second scenes of a kind, the command, a sweep; some minutes.
 waiting: environment
 	.venv/bin/python -m benchmarks.speed.waiting
+
+# Sweeps: 200 designs on four workers of a Dask cluster that are killed every few seconds, the client, too; four workers on
+# a cold cache; 64 designs on one worker and on two; memory of a worker; about ten minutes. Parts by name:
+# `.venv/bin/python -m benchmarks.sweeps stress client cold designs memory`.
+sweeps: environment
+	.venv/bin/python -m benchmarks.sweeps
 
 # Removes what the other targets made, results of other runs under out/ excepted.
 clean:

@@ -26,6 +26,9 @@ SMALL = {
     "06_melt_schedule": "elements, iterations = 60, 1",
     "07_monte_carlo": "elements, samples = 60, 4",
     "08_own_material_model": "elements = 60",
+    "09_sweeps_and_scatter": (
+        "from concurrent.futures import ThreadPoolExecutor\n\nelements, count, executor = 60, 4, ThreadPoolExecutor(1)"
+    ),
 }
 """Assignments to the parameters of each notebook for a quick check: few elements, few iterations."""
 _LESS = "--xla_backend_optimization_level=0"

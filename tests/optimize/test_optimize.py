@@ -289,11 +289,12 @@ def test_starts_on_an_executor_are_the_same_and_more_of_them_repeat_nothing(tmp_
 
 
 def test_a_start_that_fails_is_a_named_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    points = starts.starting_points(_fixed_point(3))
+    failing = starts.starting_points(_fixed_point(3))[1]
+    assert failing is not None
 
     class Failing(Search):
         def forward(self, free: np.ndarray) -> Any:
-            if self.study.first is not None and np.array_equal(self.study.first, points[1]):
+            if self.study.first is not None and np.array_equal(self.study.first, failing):
                 return super().forward(free) | {"status": 1}
             return super().forward(free)
 
