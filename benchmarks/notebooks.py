@@ -9,7 +9,6 @@ import argparse
 import os
 import re
 import tempfile
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -40,42 +39,22 @@ _QUICKLY = (
 """What a kernel runs first for a quick check: it compiles as the tests do, whose programs it then finds."""
 
 
-def execute(path: Path, cache: Path) -> Any:
+def execute(path: Path, cache: Path, *, small: bool = False) -> Any:
     """The notebook with the outputs of a run in a kernel of its own; programs are kept in a folder for the others."""
     notebook = nbformat.read(path, as_version=4)
-    with _environment(_variables(cache)):
-        NotebookClient(notebook, **_OPTIONS).execute()
-    return clean(notebook)
-
-
-def execute_small(paths: list[Path], cache: Path) -> list[Any]:
-    """Small versions of the notebooks, run one after the other in one kernel: what they share is compiled once.
-
-    Each begins without the names of those before it.
-    """
-    given = [parametrize(nbformat.read(path, as_version=4), SMALL[path.stem]) for path in paths]
-    joined = nbformat.v4.new_notebook()
-    for notebook in given:
-        notebook.cells.insert(0, nbformat.v4.new_code_cell("%reset -f", metadata={"tags": [INJECTED]}))
-        joined.cells += notebook.cells
-    before = os.environ.get("XLA_FLAGS", "")
-    # Compiling is nearly all of it; less careful, it takes two thirds.
-    flags = {"XLA_FLAGS": f"{before} {_LESS}", "XLA_FLAGS_BEFORE": before}
+    changes = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    changes["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"  # whatever the caller draws with
+    if small:
+        # Compiling is nearly all of it; less careful, it takes two thirds.
+        before = os.environ.get("XLA_FLAGS", "")
+        changes |= {"XLA_FLAGS": f"{before} {_LESS}", "XLA_FLAGS_BEFORE": before}
     lines = [f"--IPKernelApp.exec_lines={line}" for line in _QUICKLY]
-    with _environment(_variables(cache) | flags):
-        NotebookClient(joined, extra_arguments=lines, **_OPTIONS).execute()
-    for notebook in given:
-        notebook.cells = [cell for cell in notebook.cells if cell.metadata.get("tags") != [INJECTED]]
-    return [clean(notebook) for notebook in given]
-
-
-_OPTIONS: dict[str, Any] = {"timeout": 3600, "kernel_name": "python3", "record_timing": False}
-
-
-def _variables(cache: Path) -> dict[str, str]:
-    """Of the kernel's environment; pictures are drawn into the notebook, whatever the caller draws with."""
-    variables = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    return variables | {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    options: dict[str, Any] = {"extra_arguments": lines} if small else {}
+    with _environment(changes):
+        given = parametrize(notebook, SMALL[path.stem]) if small else notebook
+        NotebookClient(given, timeout=3600, kernel_name="python3", record_timing=False, **options).execute()
+    given.cells = [cell for cell in given.cells if cell.metadata.get("tags") != [INJECTED]]
+    return clean(given)
 
 
 PARAMETERS, INJECTED = "parameters", "injected-parameters"
@@ -130,16 +109,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=FOLDER, help="where the run notebooks go; by default in place")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    chosen = [path for path in sorted(FOLDER.glob("*.ipynb")) if not arguments.names or path.stem in arguments.names]
     with tempfile.TemporaryDirectory() as temporary:
-        cache = Path(os.environ.get("JAX_COMPILATION_CACHE_DIR", temporary))
-        if arguments.small:
-            made: Iterable[Any] = execute_small(chosen, cache)
-        else:
-            made = (execute(path, cache) for path in chosen)
-        for path, notebook in zip(chosen, made, strict=True):
-            print(path.stem, flush=True)
-            nbformat.write(notebook, arguments.out / path.name)
+        cache = os.environ.get("JAX_COMPILATION_CACHE_DIR", temporary)
+        for path in sorted(FOLDER.glob("*.ipynb")):
+            if not arguments.names or path.stem in arguments.names:
+                print(path.stem, flush=True)
+                notebook = execute(path, Path(cache), small=arguments.small)
+                nbformat.write(notebook, arguments.out / path.name)
 
 
 if __name__ == "__main__":

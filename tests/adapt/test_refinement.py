@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -269,9 +267,8 @@ def test_a_run_refines_balances_and_is_what_simulate_gives(scene: Scene, live: R
 
 
 @jax.jit
-@functools.partial(jax.value_and_grad, has_aux=True)
 def replayed(share: jax.Array, way: jax.Array, scene: Scene, schedule: Schedule) -> tuple[jax.Array, Result]:
-    """How uneven the wall is when the replayed sheet is so much thicker; the part; and the slope."""
+    """How uneven the wall is when the replayed sheet is so much thicker; and the part."""
     changed = jaxform.replace(scene, {"parison.thickness": scene.parison.thickness + share * way})
     part = jaxform.simulate(changed, schedule=schedule)
     area = part.element_volume / jnp.where(part.used, part.element_thickness, 1.0)
@@ -281,24 +278,7 @@ def replayed(share: jax.Array, way: jax.Array, scene: Scene, schedule: Schedule)
 
 def replay_of(scene: Scene, live: Result) -> Result:
     assert live.schedule is not None
-    return replayed(scenes.real(0.0), scene.parison.thickness, scene, live.schedule)[0][1]
-
-
-@pytest.fixture(scope="module")
-def uneven(scene: Scene, live: Result) -> Callable[[float], tuple[jax.Array, jax.Array]]:
-    """How uneven the wall is when the replayed sheet is so much thicker and thinner at random, and its slope."""
-    start, schedule = scene.parison.thickness, live.schedule
-    way = jnp.asarray(np.random.default_rng(0).normal(size=start.shape)) * start
-    assert schedule is not None
-
-    def compute(share: float) -> tuple[jax.Array, jax.Array]:
-        (value, _), slope = replayed(scenes.real(share), way, scene, schedule)
-        return value, slope
-
-    return compute
-
-
-Both = Callable[[float], tuple[jax.Array, jax.Array]]
+    return replayed(scenes.real(0.0), scene.parison.thickness, scene, live.schedule)[1]
 
 
 def test_a_replay_is_the_run_that_was_recorded(scene: Scene, live: Result) -> None:
@@ -337,14 +317,14 @@ def test_a_replay_goes_on_where_its_schedule_does_not_fit(
     assert area == pytest.approx(own_area, rel=0.05)
 
 
-def test_the_gradient_of_a_replay_is_that_of_central_differences(uneven: Both) -> None:
-    (_, slope), size = uneven(0.0), 1e-5
-    assert (uneven(size)[0] - uneven(-size)[0]) / (2 * size) == pytest.approx(float(slope), rel=1e-6)
-
-
-def test_a_replay_is_smooth_along_a_line(uneven: Both) -> None:
+def test_a_replay_is_smooth_along_a_line(scene: Scene, live: Result) -> None:
+    """Its gradient: tests/runs/test_features.py."""
+    start, schedule = scene.parison.thickness, live.schedule
+    way = jnp.asarray(np.random.default_rng(0).normal(size=start.shape)) * start
+    assert schedule is not None
     # With new nodes that move as their edges did it jumps by 1e-4 where a node lands before or after a border.
-    values = np.array([float(uneven(float(share))[0]) for share in np.linspace(-1e-4, 1e-4, 41)])
+    shares = np.linspace(-1e-4, 1e-4, 41)
+    values = np.array([float(replayed(scenes.real(share), way, scene, schedule)[0]) for share in shares])
     assert np.ptp(values) > 1e-4 * values[20]
     assert np.abs(np.diff(values, 2)).max() < 1e-7 * values[20]
 

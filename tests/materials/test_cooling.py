@@ -235,15 +235,21 @@ damping = 100.0
 [cooling]
 {cooling}
 """
+_DEEP = '[mold]\nshape = "revolved"\nprofile = [[0.0, 0.1], [0.1, 0.0]]\nsegments = 48\nfill = false\n'
 _AIR = "heat_capacity = 2000.0\nair = 50.0\nair_temperature = 20.0\n"
 
 
 def test_cooling_in_a_file_and_in_the_part(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
-    path.write_text(FILE.format(cooling=_AIR))
+    # Over a mold under a ramp as other sheets here, whose programs it then has.
+    ramp = FILE.format(cooling=_AIR).replace(
+        "value = [0.0, 3.0e3]", 'value = [0.0, 3.0e3]\ninterpolation = "cubic-ramp"'
+    )
+    path.write_text(ramp + _DEEP)
     document = files.read_scene(path)
     scene = files.build(document)
-    result = jaxform.run(scene)
+    with pytest.warns(jaxform.InputWarning, match="nothing touched"):
+        result = jaxform.run(scene)
     output.write_part(scene, result, tmp_path / "final.vtu")
     written = meshes.read_mesh(tmp_path / "final.vtu").fields["temperature"]
     np.testing.assert_allclose(written, _warmth(result), rtol=1e-12)
