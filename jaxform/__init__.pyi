@@ -46,6 +46,7 @@ from .runs.simulation import sensitivity, simulate, simulate_batch
 from .sheet.state import Schedule, Status
 from .sweeps.engine import Outcome
 from .sweeps.sweep import sweep
+from .tools.contact_law import ContactLaw, Coulomb, Slide, Stick, make_contact_law
 from .tools.mold import Mold, make_mold
 from .tools.motion import Motion, make_motion
 
@@ -55,7 +56,9 @@ __all__ = [
     "ArrheniusStiffness",
     "Checkpointed",
     "Christensen",
+    "ContactLaw",
     "Cooling",
+    "Coulomb",
     "Field",
     "Gas",
     "Gent",
@@ -84,8 +87,10 @@ __all__ = [
     "Reversed",
     "Scene",
     "Schedule",
+    "Slide",
     "Solver",
     "Status",
+    "Stick",
     "Stored",
     "Surroundings",
     "Trim",
@@ -101,6 +106,7 @@ __all__ = [
     "law",
     "load",
     "loading",
+    "make_contact_law",
     "make_gas",
     "make_mold",
     "make_motion",

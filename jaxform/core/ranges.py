@@ -86,6 +86,7 @@ RANGES: dict[str, Range] = {
     "gas.dead_volume": Range("m^3", least=0.0),
     "mold.motion.time": Range("s", increasing=True),
     "mold.motion.displacement": Range("m"),
+    "mold.contact.friction": Range(least=0.0),
     "material.density": Range("kg/m^3", above=0.0),
     "parison.temperature": Range("degC", above=-273.15, most=3000.0),
     "material.shift.reference": Range("degC", above=-273.15, most=3000.0),
@@ -137,6 +138,7 @@ DESIGNABLE = [
     "solver.gravity",
     "mold.motion.time",
     "mold.motion.displacement",
+    "mold.contact.friction",
 ]
 """What `replace` may put in; the place of each is its bit in `Result.out_of_range`. A law may add to it."""
 WORDS, BITS = 4, 31  # whole numbers in which it is told which are out of range, and how many in each

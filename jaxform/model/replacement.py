@@ -76,6 +76,11 @@ def _replace_at(scene: Scene, path: str, values: Any) -> Scene:
     owner: Any = dataclasses.replace(_owner(scene, part), **{name: values})
     if part.startswith("fields."):
         return dataclasses.replace(scene, fields={**scene.fields, part.removeprefix("fields."): owner})
+    if part.startswith("tools.") and part.count(".") == 1:
+        place = _tool_number(scene, part.removeprefix("tools."))
+        return dataclasses.replace(
+            scene, tools=tuple(owner if k == place else tool for k, tool in enumerate(scene.tools))
+        )
     return _replace_at(scene, part, owner) if "." in part else dataclasses.replace(scene, **{part: owner})
 
 
@@ -84,9 +89,21 @@ def _owner(scene: Scene, part: str) -> Any:
     if part.startswith("fields."):
         return scene.fields.get(part.removeprefix("fields."))
     owner: Any = scene
-    for name in part.split("."):
+    names = part.split(".")
+    if names[0] == "tools":
+        place = _tool_number(scene, names[1]) if len(names) > 1 else None
+        owner, names = None if place is None else scene.tools[place], names[2:]
+    for name in names:
         owner = getattr(owner, name, None)
     return owner
+
+
+def _tool_number(scene: Scene, name: str) -> int | None:
+    """The number of a tool of this name, or with this number as text; None where there is none."""
+    names = [tool.name for tool in scene.tools]
+    if name in names:
+        return names.index(name)
+    return int(name) if name.isdecimal() and int(name) < len(names) else None
 
 
 def check_numbers(scene: Scene) -> None:
@@ -143,7 +160,7 @@ def _substitute(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> 
     if path == "parison.temperature":
         shift = scene.material.shift
         return 20.0 if shift is None else jax.lax.stop_gradient(shift.reference)
-    if path in ("pressure.time", "mold.motion.time"):
+    if _key(path) in ("pressure.time", "mold.motion.time"):
         return jnp.arange(values.size, dtype=values.dtype)
     allowed = _range(path, scene)
     if allowed.above is None:
@@ -154,18 +171,23 @@ def _substitute(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> 
 def _range(path: str, scene: Scene) -> Range:
     part, _, name = path.rpartition(".")
     owner = _owner(scene, part)
-    return parameter_ranges(owner)[name] if isinstance(owner, _DECLARING) else RANGES[path]
+    return parameter_ranges(owner)[name] if isinstance(owner, _DECLARING) else RANGES[_key(path)]
 
 
 def _key(path: str) -> str:
-    """A path as `DESIGNABLE` has it: fields' numbers without the field's name."""
+    """A path as `DESIGNABLE` has it: fields' numbers without the field's name, those of tools as the mold's."""
+    if path.startswith("tools."):
+        return f"mold.{path.split('.', 2)[-1]}"
     return f"fields.{path.rpartition('.')[2]}" if path.startswith("fields.") else path
 
 
 def _designable_numbers(scene: Scene) -> dict[str, jax.Array]:
     """Those of `DESIGNABLE` that the scene has; a declared part may have a method of the name of another's number."""
     field_paths = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in parameter_ranges(field)]
-    found = {path: number_at(scene, path) for path in (*DESIGNABLE, *field_paths) if _is_declared(scene, path)}
+    of_molds = [path.removeprefix("mold.") for path in DESIGNABLE if path.startswith("mold.")]
+    tool_paths = [f"tools.{k}.{path}" for k in range(len(scene.tools)) for path in of_molds]
+    paths = (*DESIGNABLE, *field_paths, *tool_paths)
+    found = {path: number_at(scene, path) for path in paths if _is_declared(scene, path)}
     return {path: values for path, values in found.items() if values is not None}
 
 

@@ -127,8 +127,8 @@ class Refinement:
         return int(max(self.max_level, self.base_level))
 
 
-class Tool(NamedTuple):
-    """A surface that the sheet can touch, and its search structure for contact."""
+class ContactSurface(NamedTuple):
+    """A tool that the sheet can touch, and its search structure for contact."""
 
     mold: Mold
     grid: SearchGrid
@@ -158,6 +158,7 @@ class Scene:
         cooling: Cooling of the sheet; None where it keeps its temperature.
         fill: Whether the mold is to be filled: if not, the status of a run has `UNFILLED`.
         part: The part of the formed sheet; None where all of it is the part.
+        tools: Tools besides the mold, such as plugs.
     """
 
     parison: Parison
@@ -172,12 +173,14 @@ class Scene:
     cooling: Cooling | None = None
     fill: bool = static(default=True)
     part: Part | None = None
+    tools: tuple[Mold, ...] = ()
 
     def __repr__(self) -> str:
         """The name, the size of the mesh and the kinds of the parts, in one line."""
         kinds = type(self.material).__name__, type(self.pressure).__name__
         parts = [f"{row_count(self.parison.triangles)} elements", *kinds]
         parts += [] if self.mold is None else [f"mold of {row_count(self.mold.triangles)} triangles"]
+        parts += [f"tool {tool.name!r} of {row_count(tool.triangles)} triangles" for tool in self.tools]
         parts += [] if self.refinement is None else [f"refined up to {self.refinement.elements} elements"]
         parts += [f"end_time={abbreviate(self.solver.end_time)}"]
         return f"Scene({self.name!r}: {', '.join(parts)})"
@@ -188,10 +191,11 @@ class Scene:
         return self.material.at(self.parison.temperature)
 
     @property
-    def tool(self) -> Tool | None:
-        """The surface that the sheet can touch, with its search structure; None for free inflation."""
-        mold, grid = self.mold, self.tables.grid
-        return None if mold is None or grid is None else Tool(mold, grid)
+    def surfaces(self) -> tuple[ContactSurface, ...]:
+        """The surfaces that the sheet can touch: the mold, where there is one, then the tools in their order."""
+        molds = [] if self.mold is None else [(self.mold, self.tables.grid)]
+        pairs = [*molds, *zip(self.tools, self.tables.tool_grids, strict=True)]
+        return tuple(ContactSurface(mold, grid) for mold, grid in pairs if grid is not None)
 
     @property
     def adaptivity(self) -> Adaptivity | None:
@@ -208,12 +212,13 @@ class Scene:
     @property
     def packs_moving(self) -> bool:
         """True where windows step only the nodes and elements that can still move."""
-        return self.mold is not None and self.solver.skip_stuck and self.rests
+        return bool(self.surfaces) and self.solver.skip_stuck and self.rests
 
     @property
     def rests(self) -> bool:
         """True if nodes in contact no longer change, so that a run can end when all nodes are in contact."""
-        return self.motion is None and all(field.rests for field in self.fields.values())
+        steady = all(tool.motion is None and tool.contact.sticks for tool, _ in self.surfaces)
+        return steady and all(field.rests for field in self.fields.values())
 
     @property
     def motion(self) -> Motion | None:
@@ -249,6 +254,8 @@ class Scene:
             "the sheet cools": self.cooling is not None,
             "its pressure follows the enclosed volume": self.pressure.follows_volume,
             "the mold moves": self.motion is not None,
+            "nodes slide on the mold": self.mold is not None and not self.mold.contact.sticks,
+            "it has tools besides the mold": bool(self.tools),
         }
         return [reason for reason, holds in parts.items() if holds]
 

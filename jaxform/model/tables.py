@@ -180,6 +180,10 @@ class Precomputed:
         size: Largest initial coordinate [m].
         box: Box of sheet and mold: a sheet far outside of it has left its mold; None without a mold.
         grid: Search structure of the mold, or None.
+        tool_grids: Those of the other tools.
+        neighbors: Of the mold and the tools in their order, the triangles (n_triangle, 3) beside each side of a
+            triangle, signed and counted from 1 as in `State.wall`; empty where all of them stick.
+        initial_tool: The number (n_node,) of the surface that nodes touch at the start; None with a single surface.
         forest: Hierarchy that the mesh can be refined to, or None.
         initial_contact: Mold triangles (n_node,) that nodes touch at the start of a run, signed as in `State.wall`;
             None where there is no contact.
@@ -209,3 +213,6 @@ class Precomputed:
     pairs_per_node: int = static(default=2)
     counts: Counts | None = None
     rim: Rim | None = None
+    tool_grids: tuple[SearchGrid, ...] = ()
+    neighbors: tuple[jax.Array, ...] = ()
+    initial_tool: jax.Array | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import jax
@@ -175,6 +175,24 @@ def check_motion(mold: Mold, parison: Parison) -> None:
             "mold.motion.direction",
             direction.tolist(),
         )
+
+
+def validate_tools(tools: Sequence[Mold]) -> list[Mold]:
+    """The tools besides the mold, each with a name.
+
+    Raises:
+        InputError: If one is no tool, or two have the same name.
+    """
+    made: list[Mold] = []
+    for number, tool in enumerate(tools, 1):
+        if not isinstance(tool, Mold):
+            raise InputError("is not a tool", "use make_mold", f"tools[{number - 1}]")
+        name = tool.name or f"tool{number}"
+        if name == "mold" or name in [other.name for other in made] or not name.replace("-", "_").isidentifier():
+            remedy = "give each tool a name of its own, in letters, digits and -, other than mold"
+            raise InputError("cannot be this tool's name", remedy, "tool.name", name)
+        made.append(dataclasses.replace(tool, name=name))
+    return made
 
 
 def validate_loading(pressure: Loading) -> Loading:

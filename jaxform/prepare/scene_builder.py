@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import jax
 import numpy as np
@@ -19,7 +20,7 @@ from jaxform.materials import Cooling, Law
 from jaxform.mesh import bisection, topology, volumes
 from jaxform.model.field import Field
 from jaxform.model.part import Part, check_part
-from jaxform.model.scene import Parison, Refinement, Scene, Solver, sample_pressures
+from jaxform.model.scene import ContactSurface, Parison, Refinement, Scene, Solver, sample_pressures
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Precomputed, ReferenceGeometry, Rim, SceneBox
 from jaxform.prepare import component_validation, initial_contact
 from jaxform.prepare.refinement_setup import bends, build_hierarchy, check_capacity, pack_forest, reserve_capacity
@@ -34,7 +35,9 @@ from jaxform.prepare.window_budget import (
 from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.packing import make_assembly, make_paired_assembly
 from jaxform.tools.mold import Mold
+from jaxform.tools.motion import Motion
 from jaxform.tools.search import SearchGrid, build_grid
+from jaxform.tools.surface_walk import signed_neighbors
 
 # Rims that can move, along which the enclosed volume is not all that the sheet sweeps; on the host.
 
@@ -90,6 +93,7 @@ def build_scene(
     cooling: Cooling | None = None,
     fill: bool = True,
     part: Part | None = None,
+    tools: Sequence[Mold] = (),
     name: str = "scene",
     frames: int = 0,
     store: Store | None = None,
@@ -110,6 +114,7 @@ def build_scene(
         fill: Whether the mold is to be filled: if a gap of a fifth of its depth remains, the status has `UNFILLED`.
         part: The part of the formed sheet, from `make_part`, to which statistics, objectives and pictures refer; all of
             it by default.
+        tools: Tools besides the mold, each with a name of its own, motion and contact law.
         name: Name of the scene.
         frames: Number of times at which the run is observed, which are window boundaries.
         store: Store of the mold's search structure between runs; none by default.
@@ -123,6 +128,7 @@ def build_scene(
     # Parts may have been made before x64 was switched.
     parison, solver = cast_to_precision(parison), cast_to_precision(solver)
     mold, refinement = cast_to_precision(mold), cast_to_precision(refinement)
+    tools = component_validation.validate_tools([cast_to_precision(tool) for tool in tools])
     check_part(part, None if mold is None else len(mold.triangles))
     pressure, count = component_validation.validate_loading(pressure), len(parison.positions)
     component_validation.check_weight(solver, refinement)
@@ -137,17 +143,26 @@ def build_scene(
     }
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
-    grid = in_contact = None
-    if mold is not None:
-        component_validation.check_motion(mold, parison)
-        grid = _search_grid(mold, positions, triangles, store)
-        initial_contact.check_start(parison, triangles, mold, grid)
-        pushes = sample_pressures(pressure, solver, parison, material)
-        parison, in_contact = _place_on_mold(
-            parison, triangles if forest is None else forest.triangles, pushes, mold, grid
-        )
+    surfaces = [*([] if mold is None else [mold]), *tools]
+    grids: list[SearchGrid] = []
+    in_contact: tuple[np.ndarray, np.ndarray] | None = None
+    for number, surface in enumerate(surfaces):
+        with _named_errors(surface, mold):
+            component_validation.check_motion(surface, parison)
+            grids.append(_search_grid(surface, positions, triangles, store))
+            initial_contact.check_start(parison, triangles, surface, grids[-1])
+            pushes = sample_pressures(pressure, solver, parison, material)
+            parison, in_contact = _place_on_surface(
+                parison,
+                triangles if forest is None else forest.triangles,
+                pushes if surface.motion is None else _push_against(surface.motion, positions, triangles),
+                ContactSurface(surface, grids[-1]),
+                number,
+                in_contact,
+            )
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)
+    grid = grids[0] if mold is not None else None
     component_validation.check_gas(pressure, volumes.enclosed_volume(positions, triangles))
     sheet = _reference_sheet(parison, pressure)
     rest = parison.unstretched(positions)
@@ -161,7 +176,9 @@ def build_scene(
         fine = (
             None
             if grid is None
-            else initial_contact.find_initial_bisections(forest, in_contact, refinement, bend, grid)
+            else initial_contact.find_initial_bisections(
+                forest, None if in_contact is None else in_contact[0], refinement, bend, grid
+            )
         )
         refinement = reserve_capacity(refinement, forest, fine)
         of_forest = parison.unstretched(forest.positions)
@@ -177,8 +194,11 @@ def build_scene(
     if steep and refinement is not None:
         # Its windows do not become longer.
         planned *= LONG_WINDOW // SHORT_WINDOW
-    moving = tool_steps(None if mold is None else mold.motion, grid, float(solver.end_time), np.inf)
-    window_count = planned + int(np.ceil(moving / SHORT_WINDOW)) + spare_windows(grid, change)
+    end_time = float(solver.end_time)
+    moving = sum(tool_steps(one.motion, own, end_time, np.inf) for one, own in zip(surfaces, grids, strict=True))
+    window_count = (
+        planned + int(np.ceil(moving / SHORT_WINDOW)) + max(spare_windows(own, change) for own in grids or [None])
+    )
     longest = longest_window(planned, frames, steep=steep)
     tables = Precomputed(
         sheet=sheet,
@@ -186,16 +206,19 @@ def build_scene(
         bound=bound,
         mobility=mobility,
         size=as_real(np.abs(positions).max()),
-        box=None if mold is None else _box(mold, positions),
+        box=_box(surfaces, positions) if surfaces else None,
         grid=grid,
         forest=grown,
-        initial_contact=in_contact,
+        initial_contact=None if in_contact is None else as_index(in_contact[0]),
         window_count=window_count,
         planned=np.int32(window_count if steep else NEVER),
         longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest),
         window_room=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
-        pairs_per_node=_pairs_per_node(mold, grid),
+        pairs_per_node=max([PAIRS_PER_NODE, *map(_pairs_per_node, surfaces, grids)]),
         rim=rim,
+        tool_grids=tuple(grids[len(grids) - len(tools) :]),
+        neighbors=_neighbors(surfaces),
+        initial_tool=None if in_contact is None or len(surfaces) == 1 else as_index(in_contact[1]),
     )
     return Scene(
         parison=parison,
@@ -210,7 +233,35 @@ def build_scene(
         cooling=cooling,
         fill=bool(fill),
         part=part,
+        tools=tuple(tools),
     )
+
+
+@contextlib.contextmanager
+def _named_errors(surface: Mold, mold: Mold | None) -> Iterator[None]:
+    """Errors of a tool name it in their key, which else would be the mold's."""
+    try:
+        yield
+    except InputError as error:
+        if surface is mold or not error.key.startswith("mold"):
+            raise
+        raise dataclasses.replace(error, key=f"tool {surface.name}{error.key.removeprefix('mold')}") from None
+
+
+def _push_against(motion: Motion, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The push (1,) of a sheet against a tool that touches it when the run begins, with the sign of a pressure."""
+    far = np.asarray(motion.displacement, float)
+    first = far[np.flatnonzero(far)[:1]].sum()
+    corners = positions[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(0)
+    return np.array([-np.sign(first) * np.sign(np.asarray(motion.direction, float) @ normal)])
+
+
+def _neighbors(surfaces: list[Mold]) -> tuple[jax.Array, ...]:
+    """The triangles beside those of each surface, where nodes slide on any."""
+    if all(surface.contact.sticks for surface in surfaces):
+        return ()
+    return tuple(as_index(signed_neighbors(np.asarray(surface.triangles))) for surface in surfaces)
 
 
 def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refinement | None) -> Assembly:
@@ -245,20 +296,35 @@ def _degenerate(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.flatnonzero(~(area > 1e-9 * longest))
 
 
-def _place_on_mold(
-    parison: Parison, triangles: np.ndarray, pushes: np.ndarray, mold: Mold, grid: SearchGrid
-) -> tuple[Parison, jax.Array | None]:
-    """The parison with its nodes in contact exactly on the mold; and the initial contact (n_node,), None if none."""
+def _place_on_surface(
+    parison: Parison,
+    triangles: np.ndarray,
+    pushes: np.ndarray,
+    surface: ContactSurface,
+    number: int,
+    before: tuple[np.ndarray, np.ndarray] | None,
+) -> tuple[Parison, tuple[np.ndarray, np.ndarray] | None]:
+    """The parison with its nodes in contact exactly on the surface, and the initial contact with all so far.
+
+    That is the signed triangle and the number of the surface (n_node,) each; None where nothing touches.
+    """
+    mold, grid = surface
     wall, positions = initial_contact.find_initial_contact(parison, triangles, pushes, mold, grid)
     if not np.any(wall):
-        return parison, None
+        return parison, before
+    walls, numbers = np.zeros_like(wall), np.zeros_like(wall)
+    if before is not None:
+        walls, numbers = before
+        wall = np.where(walls != 0, 0, wall)
+        positions = np.where((wall != 0)[:, None], positions, np.asarray(parison.positions, float))
     if len(bad := _degenerate(positions, triangles)):
         raise InputError(
             f"the parison cannot be projected onto it: {len(bad)} of its triangles would be degenerate",
             "compare the sizes of mold and parison (`jaxform check`, mold.scale)",
             "mold",
         )
-    return dataclasses.replace(parison, positions=as_real(positions)), as_index(wall)
+    walls, numbers = np.where(wall != 0, wall, walls), np.where(wall != 0, number, numbers)
+    return dataclasses.replace(parison, positions=as_real(positions)), (walls, numbers)
 
 
 def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:
@@ -282,8 +348,8 @@ def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:
     return ReferenceGeometry(as_index(triangles.T), as_real(inverse), as_real(area), as_real(origin))
 
 
-def _box(mold: Mold, positions: np.ndarray) -> SceneBox:
-    places = np.concatenate([positions, mold.where_it_turns()])
+def _box(surfaces: list[Mold], positions: np.ndarray) -> SceneBox:
+    places = np.concatenate([positions, *(surface.where_it_turns() for surface in surfaces)])
     low, high = places.min(0), places.max(0)
     return SceneBox(as_real(0.5 * (low + high)), as_real(1.5 * (high - low).max()))
 

@@ -188,7 +188,13 @@ def pad_mold(mold: Mold) -> Mold:
         vertices=pad_with_first(np.asarray(mold.vertices).T, vertices).T,
         triangles=pad_with_first(np.asarray(mold.triangles).T, triangles).T,
         motion=None if mold.motion is None else _pad_motion(mold.motion),
+        contact=mold.contact,
     )
+
+
+def pad_neighbors(neighbors: jax.Array) -> Any:
+    """The padded table of neighbors; padded triangles have none."""
+    return pad_values(np.asarray(neighbors).T, capacities.mold_triangle_capacity(len(neighbors)), 0).T
 
 
 def _pad_motion(motion: Motion) -> Motion:

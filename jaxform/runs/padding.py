@@ -34,6 +34,7 @@ from jaxform.runs.arrays import (
     pad_initial_contact,
     pad_material,
     pad_mold,
+    pad_neighbors,
     pad_nodal,
     pad_parison,
     pad_pressure,
@@ -175,6 +176,7 @@ def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Pa
     }
     whole = Scene(
         mold=None if scene.mold is None else cache_by_identity(_mold, scene.mold),
+        tools=tuple(cache_by_identity(_mold, tool) for tool in scene.tools),
         refinement=room.refinement,
         tables=room.tables,
         name="",
@@ -225,6 +227,8 @@ def _pad_tables(
     if forest is not None and refinement is not None:
         refinement = dataclasses.replace(refinement, elements=capacities.refined_capacity(refinement.elements))
         grown = pad_forest(forest, refinement, order)
+    touches = tables.grid is not None or bool(tables.tool_grids)
+    several = (tables.grid is not None) + len(tables.tool_grids) > 1
     made = Precomputed(
         sheet=pad_sheet(tables.sheet, elements, order),
         assembly=assembly,
@@ -234,7 +238,8 @@ def _pad_tables(
         box=tables.box,
         grid=None if tables.grid is None else cache_by_identity(_grid, tables.grid),
         forest=grown,
-        initial_contact=None if tables.grid is None else pad_initial_contact(tables.initial_contact, order),
+        initial_contact=pad_initial_contact(tables.initial_contact, order) if touches else None,
+        initial_tool=pad_initial_contact(tables.initial_tool, order) if several else None,
         longest_window=tables.longest_window,
         planned=tables.planned,
         window_count=capacities.window_capacity(tables.window_count, recorded=recorded),
@@ -242,6 +247,8 @@ def _pad_tables(
         pairs_per_node=tables.pairs_per_node,
         counts=counts,
         rim=None if tables.rim is None else pad_rim(tables.rim, order),
+        tool_grids=tuple(cache_by_identity(_grid, grid) for grid in tables.tool_grids),
+        neighbors=tuple(jax.device_put(pad_neighbors(each)) for each in tables.neighbors),
     )
     made, refinement = jax.device_put((made, refinement))
     return _PaddedTables(made, refinement, order)

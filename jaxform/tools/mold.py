@@ -1,4 +1,4 @@
-"""The mold: a rigid triangulated surface to which the sheet sticks."""
+"""Tools: rigid triangulated surfaces that the sheet touches. The mold is one of them."""
 
 from __future__ import annotations
 
@@ -12,24 +12,29 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real, pytree, static
 from jaxform.mesh import meshes
+from jaxform.tools.contact_law import ContactLaw, Stick
 from jaxform.tools.motion import Motion
 
 
 @pytree
 class Mold:
-    """A rigid triangulated surface with sticking contact; the orientation of its triangles has no effect.
+    """A tool, the mold or another one: a rigid triangulated surface; the orientation of its triangles has no effect.
 
     Attributes:
         vertices: Vertex positions (n_vertex, 3) [m].
         triangles: Vertex numbers (n_triangle, 3).
         dropped: Degenerate or duplicate triangles that were left out of the file's.
         motion: Its motion, which nodes in contact follow; None if it is at rest.
+        contact: The contact law.
+        name: Its name; "" of the mold, and where names do not matter.
     """
 
     vertices: jax.Array
     triangles: jax.Array
     dropped: int = static(default=0)
     motion: Motion | None = None
+    contact: ContactLaw = dataclasses.field(default_factory=Stick)
+    name: str = static(default="")
 
     def vertices_at(self, time: float) -> NDArray[np.float64]:
         """The vertices (n_vertex, 3) [m] at a time [s]; on the host."""
@@ -51,10 +56,25 @@ class Mold:
         return self if self.motion is None else dataclasses.replace(self, vertices=there, motion=None)
 
 
-def make_mold(vertices: np.ndarray, triangles: np.ndarray, dropped: int = 0, motion: Motion | None = None) -> Mold:
-    """A mold from vertices (n_vertex, 3) [m] and triangles (n_triangle, 3), at rest or with a motion.
+def make_mold(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    dropped: int = 0,
+    motion: Motion | None = None,
+    contact: ContactLaw | None = None,
+    name: str = "",
+) -> Mold:
+    """A mold, or another tool, from vertices (n_vertex, 3) [m] and triangles (n_triangle, 3).
 
     Degenerate triangles and copies are left out, and counted in `dropped` beside those left out before.
+
+    Args:
+        vertices: The vertices, when the run begins.
+        triangles: Their numbers.
+        dropped: Triangles left out before.
+        motion: Its motion; None if it is at rest.
+        contact: The contact law, from `make_contact_law`; by default nodes stick.
+        name: Name of the tool.
 
     Raises:
         InputError: If no triangle has an area, a triangle has a vertex that does not exist, or a coordinate is not
@@ -68,4 +88,5 @@ def make_mold(vertices: np.ndarray, triangles: np.ndarray, dropped: int = 0, mot
     bad = meshes.find_degenerate(vertices, triangles) if len(triangles) else np.zeros(0, bool)
     if np.all(bad):
         raise InputError("the mold has no triangles", "give a surface mesh of triangles", key="mold")
-    return Mold(as_real(vertices), as_index(triangles[~bad]), dropped + int(bad.sum()), motion)
+    law = Stick() if contact is None else contact
+    return Mold(as_real(vertices), as_index(triangles[~bad]), dropped + int(bad.sum()), motion, law, name)
