@@ -19,11 +19,12 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.ray_crossings import Crossings, ray_crossings
+from jaxform.contact.sliding import on_surface
 from jaxform.kernels.blocks import BLOCK, compact_indices, lax_cond_once, put, slice_at
 from jaxform.kernels.derivatives import save_decision
-from jaxform.mechanics.membrane import cross, dot
+from jaxform.mechanics.membrane import cross, dot, unstack_rows, vector
 from jaxform.mechanics.nodes import Nodes
-from jaxform.model.scene import Adaptivity, Scene, Tool
+from jaxform.model.scene import Adaptivity, Scene
 from jaxform.model.tables import BisectionHierarchy
 from jaxform.sheet.discretization import RefinedMesh
 from jaxform.sheet.state import State, initial_node_state
@@ -32,6 +33,7 @@ from jaxform.tools.mold import Mold
 from jaxform.tools.motion import ToolFrame
 from jaxform.tools.search import SearchGrid, cell_of
 from jaxform.tools.search import distance as distance_to
+from jaxform.tools.surface_walk import ContactSurface, project_on_plane
 
 # The nearest place of the mold: of points, and on a chosen triangle, differentiably.
 
@@ -182,7 +184,7 @@ def insert_nodes(
         volumes: Volumes of all triangles of the forest (n_triangle,) [m^3].
         differentiable: Whether loops have as many passes as the capacity; else they end with the new nodes.
     """
-    forest, old, tool = adaptivity.forest, state.refined_mesh, scene.tool
+    forest, old, surfaces = adaptivity.forest, state.refined_mesh, scene.surfaces
     size = min(BLOCK, mesh.node.size)
 
     def make_insertions(block: jax.Array) -> _Insertions:
@@ -207,33 +209,38 @@ def insert_nodes(
 
         return jax.lax.scan(one, nodes, jnp.arange(-(-mesh.node.size // size)))[0]
 
+    def older(place: jax.Array) -> jax.Array:
+        """The places (n,) themselves where nodes were before; else that of an end of their edge, or of an end's."""
+
+        def move_up(place: jax.Array) -> jax.Array:
+            return jnp.where(place < old.node_count, place, mesh.place[forest.ends[0, mesh.node[place]]])
+
+        return jax.lax.while_loop(lambda place: jnp.any(place >= old.node_count), move_up, place)
+
     # The loop over blocks carries no more than it changes.
-    frame, nodes = present_frame(state, scene), dataclasses.replace(state.nodes, mode=None)
+    frames, nodes = present_frames(state, scene), dataclasses.replace(state.nodes, mode=None)
+    # Where all nodes that move stick to one tool, in its frame: there they rest.
+    frame = frames[0] if len(frames) == 1 else None
     if frame is not None:
         nodes = _to_frame(nodes, frame)
     nodes = map_blocks(nodes, lambda nodes, births: _interpolate_nodes(nodes, births, scene, forest, volumes, frame))
-    if tool is not None:
+    for number, own in enumerate(frames):
+        surface = surfaces[number]
 
-        def older(place: jax.Array) -> jax.Array:
-            """The places (n,) themselves where nodes were before; else that of an end of their edge, or of an end's."""
+        def place(nodes: Nodes, births: _Insertions, surface: ContactSurface = surface, number: int = number) -> Nodes:
+            return _place_on_surface(nodes, births, surface, number, adaptivity, older, state.time)
 
-            def move_up(place: jax.Array) -> jax.Array:
-                return jnp.where(place < old.node_count, place, mesh.place[forest.ends[0, mesh.node[place]]])
-
-            return jax.lax.while_loop(lambda place: jnp.any(place >= old.node_count), move_up, place)
-
-        def place_on_mold(nodes: Nodes, births: _Insertions) -> Nodes:
-            return _place_on_mold(nodes, births, tool, adaptivity, older, state.time)
-
-        nodes = map_blocks(nodes, place_on_mold)
-    if frame is not None:
-        nodes = _to_frame(nodes, ToolFrame(-frame.offset, -frame.velocity))
+        if own is not None and frame is None:
+            nodes = _to_frame(nodes, own)
+        nodes = map_blocks(nodes, place)
+        if own is not None:
+            nodes = _to_frame(nodes, ToolFrame(-own.offset, -own.velocity))
     return dataclasses.replace(state, nodes=nodes).replace_nodes(mode=state.nodes.mode)
 
 
-def present_frame(state: State, scene: Scene) -> ToolFrame | None:
-    """The tool's frame at the present time; None where the tool rests."""
-    return None if scene.motion is None else scene.motion.frame(state.time - state.control.last_length, state.time)
+def present_frames(state: State, scene: Scene) -> tuple[ToolFrame | None, ...]:
+    """The frames of the surfaces at the present time; None of those at rest."""
+    return scene.frames(state.time - state.control.last_length, state.time)
 
 
 def _to_frame(nodes: Nodes, frame: ToolFrame) -> Nodes:
@@ -285,6 +292,7 @@ def _interpolate_nodes(
         stuck=births.put(nodes.stuck, start.stuck),
         contact_time=births.put(nodes.contact_time, start.contact_time),
         wall=births.put(nodes.wall, start.wall),
+        tool=None if nodes.tool is None or start.tool is None else births.put(nodes.tool, start.tool),
         fields=fields,
     )
 
@@ -301,34 +309,41 @@ def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Bisect
     return lost[0] / (lost[0] + lost[1])
 
 
-def _place_on_mold(
+def _place_on_surface(
     nodes: Nodes,
     births: _Insertions,
-    tool: Tool,
+    surface: ContactSurface,
+    number: int,
     adaptivity: Adaptivity,
     older: Callable[[jax.Array], jax.Array],
     time: jax.Array,
 ) -> Nodes:
-    """The nodes with the block's new ones put on the mold where they touch or penetrate it; near it, at rest.
+    """The nodes with the block's new ones put on a surface where they touch or penetrate it; near it, at rest.
 
     Args:
-        nodes: The nodes.
+        nodes: The nodes, in the frame of the surface.
         births: The block of new ones.
-        tool: The mold.
+        surface: The surface, of this number in the scene.
+        number: The number.
         adaptivity: The adaptive refinement.
         older: Function that returns the places (n,) of nodes from before of which those at places (n,) descend.
         time: The present time [s].
     """
-    (mold, grid), (limits, forest) = tool, adaptivity
+    (mold, grid, _), (limits, forest) = surface, adaptivity
+    touching = jnp.where(on_surface(nodes.tool, number), nodes.wall, 0)
     points, stuck = births.block_of(nodes.positions), births.block_of(nodes.stuck)
     free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
+    if nodes.tool is not None or not mold.contact.sticks:
+        free &= births.block_of(nodes.wall) == 0
     closest, distance = save_decision(nearest_triangle(places, free, grid))
-    begin, seen = save_decision(_paths_from_sheet(places, free, nodes, [older(end) for end in births.ends], tool))
+    begin, seen = save_decision(
+        _paths_from_sheet(places, free, nodes, touching, [older(end) for end in births.ends], surface)
+    )
     touches = free & (distance <= search.touch_distance(grid))
     beyond = free & ~touches & (seen.count % 2 == 1)
-    ends = [nodes.stuck[at] for at in births.ends]
-    sticks = births.join_ends(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
-    lands = births.new & sticks & ~stuck
+    ends = [nodes.stuck[at] | (touching[at] != 0) for at in births.ends]
+    held = births.join_ends(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
+    lands = births.new & held & ~stuck
     # The nearest triangle, and the one that the way from the sheet crosses last, in one go.
     last = seen.triangle
     both, known = jnp.append(closest, last), jnp.append(free & (closest >= 0), free & (last >= 0))
@@ -337,7 +352,13 @@ def _place_on_mold(
     chosen = jnp.where(turned, jnp.maximum(last, 0), closest)
     triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
     point = jnp.where(turned, front, nearest)
-    velocities = jnp.where(lands, 0.0, births.block_of(nodes.velocities))
+    velocities = births.block_of(nodes.velocities)
+    if mold.contact.sticks:
+        velocities = jnp.where(lands, 0.0, velocities)
+    else:
+        mobile = vector(jnp.ones_like(distance) for _ in range(3))
+        slip = project_on_plane(unstack_rows(velocities), unstack_rows(_normal(mold, triangle)), mobile)
+        velocities = jnp.where(lands, jnp.stack(slip), velocities)
     if limits.at_rest:
         edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
         length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
@@ -350,14 +371,22 @@ def _place_on_mold(
         nodes,
         positions=births.put(nodes.positions, jnp.where(lands, point, points)),
         velocities=births.put(nodes.velocities, velocities),
-        stuck=births.put(nodes.stuck, stuck | lands),
+        stuck=births.put(nodes.stuck, stuck | lands if mold.contact.sticks else stuck),
         contact_time=births.put(nodes.contact_time, jnp.where(lands, time, births.block_of(nodes.contact_time))),
         wall=births.put(nodes.wall, jnp.where(lands, side * (triangle + 1), births.block_of(nodes.wall))),
+        tool=None
+        if nodes.tool is None
+        else births.put(nodes.tool, jnp.where(lands, number, births.block_of(nodes.tool))),
     )
 
 
 def _paths_from_sheet(
-    points: jax.Array, free: jax.Array, nodes: Nodes, older: list[jax.Array], tool: Tool
+    points: jax.Array,
+    free: jax.Array,
+    nodes: Nodes,
+    wall: jax.Array,
+    older: list[jax.Array],
+    surface: ContactSurface,
 ) -> tuple[jax.Array, Crossings]:
     """Paths to new nodes at points (3, n) [m] from an older node, which is on the sheet's side of the mold.
 
@@ -367,9 +396,9 @@ def _paths_from_sheet(
     Returns:
         Where the paths begin (3, n) [m], and their crossings with the mold.
     """
-    mold, grid = tool
+    mold, grid, _ = surface
     first, second = older
-    stuck, wall = nodes.stuck, nodes.wall
+    stuck = nodes.stuck
     worse = stuck[first] & (~stuck[second] | (wall[first] == 0) & (wall[second] != 0))
     place = jnp.where(worse, second, first)
     there, triangle = wall[place], jnp.maximum(jnp.abs(wall[place]) - 1, 0)

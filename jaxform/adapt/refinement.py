@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.adapt.insertion import insert_nodes, present_frame
+from jaxform.adapt.insertion import insert_nodes, present_frames
 from jaxform.adapt.remeshing import (
     Queue,
     add_sides,
@@ -213,7 +213,9 @@ def _pad(values: jax.Array, count: int) -> jax.Array:
 def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> jax.Array:
     """Mask (element_room,) of the elements to bisect for their own and their neighbours' shape."""
     state, discrete, adaptivity, scene = jax.lax.stop_gradient((state, discrete, adaptivity, scene))
-    (limits, forest), mesh, frame = adaptivity, state.refined_mesh, present_frame(state, scene)
+    (limits, forest), mesh, frame = adaptivity, state.refined_mesh, None
+    if scene.mold is not None:
+        frame = present_frames(state, scene)[0]
     positions = state.nodes.positions if frame is None else frame.places(state.nodes.positions)
     shapes = _shapes(positions, discrete, adaptivity, scene.tables.grid)
     sheet, fine = discrete.sheet, 0.5 * discrete.sheet.area < limits.min_area

@@ -21,6 +21,7 @@ from jaxform.sheet.energy_balance import rim_ends, rim_swept_volume
 from jaxform.sheet.packing import Packed
 from jaxform.sheet.scheme import add_gravity
 from jaxform.tools.mold import Mold
+from jaxform.tools.surface_walk import ContactSurface
 
 
 class ReverseWindow(NamedTuple):
@@ -304,6 +305,7 @@ def pull_back_landings(
     `at` is what nodes stick to in the end (place,), as in `State`, and the window's begin [s].
     """
     wall, begin_time = at
+    grid = now.scene.surfaces[0].grid
     number, time = turn.number, begin_time + (turn.number + 1) * turn.length
     places, count = compact_indices(now.landing_step == number, now.landing_step.size)
 
@@ -321,10 +323,9 @@ def pull_back_landings(
             flying = sticking.Landing(
                 Nodes(after, velocity, free, jnp.zeros_like(mass), none, None, {}), none, jnp.zeros_like(time)
             )
-            triangle = Mold(corners, jnp.arange(3, dtype=jnp.int32)[None])
-            there = sticking.place_on_mold(
-                flying, sticking.ContactStep(turn.length, time, number), mass, triangle, none
-            )
+            triangle = ContactSurface(Mold(corners, jnp.arange(3, dtype=jnp.int32)[None]), grid)
+            landing = sticking.ContactStep(turn.length, time, number)
+            there = sticking.place_on_surfaces(flying, landing, (mass, None), (triangle,), none, differentiable=True)
             return there.nodes.positions, there.nodes.contact_time, there.loss
 
         # All is read before anything is written (docs/explanation/kernels.md).

@@ -127,20 +127,21 @@ def all_blocks(candidates: Candidates) -> DueBlocks:
 
 
 def find_active_pairs(
-    positions: Any, stuck: jax.Array, candidates: Candidates, node_block_count: jax.Array
+    positions: Any, stuck: jax.Array, touches: jax.Array, candidates: Candidates, node_block_count: jax.Array
 ) -> ActivePairs:
     """The blocks with free nodes that moved far enough to touch the mold, and whether one soon leaves its sphere.
 
     Args:
         positions: Node positions after the step, (3, n_node) or three times (n_node,) [m].
         stuck: Nodes (n_node,) that do not move any more.
+        touches: Nodes (n_node,) that touch this surface already, those that are stuck included.
         candidates: The list.
         node_block_count: Number of node blocks in use.
     """
 
-    def work(stuck: Any, positions: Any, spheres: Any) -> Any:
+    def work(stuck: Any, touches: Any, positions: Any, spheres: Any) -> Any:
         start, clear_square, center, alarm_square = spheres
-        touching = ~stuck & _has_moved(positions, start, clear_square)
+        touching = ~touches & _has_moved(positions, start, clear_square)
         return [[touching]], [touching, ~stuck & _has_moved(positions, center, alarm_square)]
 
     def add(block: jax.Array, due: DueBlocks) -> DueBlocks:
@@ -151,7 +152,12 @@ def find_active_pairs(
         blocks = put(due.block, block[None], due.count)
         return DueBlocks(blocks, due.count + jnp.any(used & gather(touching[0], node)))
 
-    inputs = stuck, positions, (candidates.start, candidates.clear_square, candidates.center, candidates.alarm_square)
+    inputs = (
+        stuck,
+        touches,
+        positions,
+        (candidates.start, candidates.clear_square, candidates.center, candidates.alarm_square),
+    )
     into = [jnp.zeros((1, stuck.size), bool)]
     (touching,), (count, leaving) = over_blocks(work, node_block_count, inputs, into, sums=2)
     blocks, none = jnp.where(count > 0, all_blocks(candidates).count, 0), no_active_pairs(candidates).due

@@ -1,4 +1,4 @@
-"""Sticking contact: which nodes cross which triangle of the mold in a step, and where they land (paper, 3.2).
+"""Landing of nodes: which cross which triangle of a tool in a step, and where (paper, 3.2).
 
 Only the listed pairs that the broad phase selects are tested. The choice of the triangle carries no gradient; the
 landing point is then computed differentiably from it, and since it is the point where the path meets the triangle, its
@@ -8,20 +8,23 @@ gradient is that of the time of impact.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxform.contact.broad_phase import DueBlocks
 from jaxform.contact.lists import TEST_BLOCK, Candidates
+from jaxform.contact.sliding import land_and_slide, on_surface
 from jaxform.kernels.blocks import entry, lax_cond_once, materialize, put, read_rows, slice_at
-from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, unstack_rows
+from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, unstack_rows, vector
 from jaxform.mechanics.nodes import Nodes
-from jaxform.model.scene import Tool
 from jaxform.tools.mold import Mold
 from jaxform.tools.motion import ToolFrame
 from jaxform.tools.search import touch_distance
+from jaxform.tools.surface_walk import ContactSurface
 
 _SOONEST = 1e-6  # of a step: a node that touches as it starts is no clamped one, whose contact time is 0
 
@@ -55,7 +58,8 @@ class Landing(NamedTuple):
 
     Also the number of the step in which each came into contact (n_node,), and the kinetic energy lost so far [J]. Where
     it is kept, the impact (6, n_node): the position [m] of each such node before that step, and its velocity [m/s].
-    Where the tool moves, the work that it did on nodes as they came into contact [J].
+    Where a tool moves, the work that it did on nodes as they came into contact [J]. Where it is recorded, what nodes
+    land on in each step (n_step, n_node): `_encode` of it, -1 for none.
     """
 
     nodes: Nodes
@@ -63,54 +67,72 @@ class Landing(NamedTuple):
     loss: jax.Array
     impact: jax.Array | None = None
     work: jax.Array | None = None
+    record: jax.Array | None = None
 
 
 class ContactStep(NamedTuple):
-    """One step: its length [s], the time at its end [s], its number in the window; the tool's frame if that moves."""
+    """One step: its length [s], the time at its end [s], its number in the window, and the frames of the surfaces."""
 
     length: jax.Array
     end: jax.Array
     number: jax.Array
-    frame: ToolFrame | None = None
+    frames: tuple[ToolFrame | None, ...] = (None,)
 
 
 def apply_contact(
     landing: Landing,
     now: ContactStep,
-    due: DueBlocks,
-    mass: jax.Array,
-    candidates: Candidates,
-    tool: Tool,
+    due: Sequence[DueBlocks],
+    mass: tuple[jax.Array, jax.Array | None],
+    candidates: Sequence[Candidates],
+    surfaces: tuple[ContactSurface, ...],
     room: FirstHits,
 ) -> tuple[Landing, FirstHits]:
-    """Puts the nodes that crossed the mold in this step where they met it; they stay there. Not differentiable.
+    """Puts the nodes that crossed a surface in this step where they met it. Not differentiable.
 
     Args:
-        landing: The state after the step as if there were no mold; `loss` is the kinetic energy lost so far [J].
+        landing: The state after the step as if nothing were touched; `loss` is the kinetic energy lost so far [J].
         now: The step. The positions before it follow from the velocities and its length, so that they need not be
             copied.
-        due: The blocks of the list with nodes that can touch in this step.
-        mass: Nodal masses (n_node,) [kg].
-        candidates: The list.
-        tool: The mold and its search structure.
+        due: Of each surface, the blocks of its list with nodes that can touch in this step.
+        mass: Nodal masses (n_node,) [kg], and compliances (3, n_node) [1/kg] where nodes may slide.
+        candidates: Of each surface, its list.
+        surfaces: The surfaces.
         room: Workspace for the nodes' hits, from `no_hits`. It is returned as it was.
     """
-    touch = touch_distance(tool.grid)
+    count = sum(each.count for each in due)
     return lax_cond_once(
-        due.count > 0,
-        lambda both: _place_hit_nodes(*both, now, mass, candidates, due, tool.mold, touch),
+        jnp.asarray(count) > 0,
+        lambda both: _place_hit_nodes(*both, now, mass, candidates, due, surfaces),
         (landing, room),
     )
 
 
-def apply_known_contact(landing: Landing, now: ContactStep, chosen: jax.Array, mass: jax.Array, mold: Mold) -> Landing:
-    """Puts nodes on the known triangle that each meets in this step, -1 for none; differentiable."""
+def apply_known_contact(
+    landing: Landing,
+    now: ContactStep,
+    chosen: jax.Array,
+    mass: tuple[jax.Array, jax.Array | None],
+    surfaces: tuple[ContactSurface, ...],
+) -> Landing:
+    """Puts nodes where each lands in this step, as `place_on_surfaces` has it; differentiable."""
 
-    def pull(landing: Landing, now: ContactStep, mass: jax.Array, mold: Mold) -> Landing:
-        return place_on_mold(landing, now, mass, mold, chosen)
+    def pull(landing: Landing, now: ContactStep, mass: tuple[jax.Array, jax.Array | None], surfaces: Any) -> Landing:
+        return place_on_surfaces(landing, now, mass, surfaces, chosen, differentiable=True)
 
     any_lands = jnp.any(chosen >= 0)
-    return jax.lax.cond(any_lands, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold)
+    return jax.lax.cond(any_lands, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, surfaces)
+
+
+def first_numbers(surfaces: tuple[ContactSurface, ...]) -> list[int]:
+    """The number of each surface's first triangle, where those of all surfaces are counted one after the other."""
+    return np.cumsum([0, *(len(surface.mold.triangles) for surface in surfaces)]).tolist()
+
+
+def encode_landing(wall: jax.Array, tool: jax.Array | None, surfaces: tuple[ContactSurface, ...]) -> jax.Array:
+    """The triangle (n,) of all surfaces that nodes touch, from `Nodes.wall` and `Nodes.tool`; -1 for none."""
+    first: Any = 0 if tool is None else jnp.asarray(first_numbers(surfaces)[:-1], jnp.int32)[tool]
+    return jnp.where(wall != 0, first + jnp.abs(wall) - 1, -1)
 
 
 class _NodePaths(NamedTuple):
@@ -136,7 +158,7 @@ class _NodePaths(NamedTuple):
 
 
 def _block(
-    number: jax.Array, paths: _NodePaths, stuck: jax.Array, candidates: Candidates, touch: jax.Array
+    number: jax.Array, paths: _NodePaths, touches: jax.Array, candidates: Candidates, touch: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Node, triangle, beta and whether they meet, (block,) each, of one block of pairs."""
     # Once: else every loop over the block looks the number up for every entry.
@@ -148,7 +170,7 @@ def _block(
     planes = read_rows(candidates.lists.planes.reshape(-1), len(candidates.lists.planes), first, TEST_BLOCK)
     beta, meets = _paths_meet(*paths.path_ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < candidates.count
-    return node, triangle, beta, meets & used & ~gather(stuck, node)
+    return node, triangle, beta, meets & used & ~gather(touches, node)
 
 
 class FirstHits(NamedTuple):
@@ -171,9 +193,15 @@ def no_hits(node_count: int, real: jnp.dtype) -> FirstHits:
 
 
 def _first_hits(
-    paths: _NodePaths, stuck: jax.Array, candidates: Candidates, due: DueBlocks, touch: jax.Array, none: FirstHits
+    paths: _NodePaths,
+    touches: jax.Array,
+    candidates: Candidates,
+    due: DueBlocks,
+    touch: jax.Array,
+    found: FirstHits,
+    first: int,
 ) -> FirstHits:
-    """The triangle that each node meets first in this step.
+    """The triangle that each node meets first in this step, counted from `first` on, where it met none before so far.
 
     Of two that are met at once the one with the higher number counts, every time.
     """
@@ -183,10 +211,10 @@ def _first_hits(
 
     def choose(carry: tuple[jax.Array, FirstHits]) -> tuple[jax.Array, FirstHits]:
         k, found = carry
-        block = _block(entry(due.block, k), paths, stuck, candidates, touch)
-        return k + 1, _update_hits(found, materialize(block))
+        node, triangle, beta, meets = _block(entry(due.block, k), paths, touches, candidates, touch)
+        return k + 1, _update_hits(found, materialize((node, first + triangle, beta, meets)))
 
-    return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1]
+    return jax.lax.while_loop(more, choose, (jnp.int32(0), found))[1]
 
 
 def _update_hits(found: FirstHits, block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> FirstHits:
@@ -223,15 +251,19 @@ def _place_hit_nodes(
     landing: Landing,
     room: FirstHits,
     now: ContactStep,
-    mass: jax.Array,
-    candidates: Candidates,
-    due: DueBlocks,
-    mold: Mold,
-    touch: jax.Array,
+    mass: tuple[jax.Array, jax.Array | None],
+    candidates: Sequence[Candidates],
+    due: Sequence[DueBlocks],
+    surfaces: tuple[ContactSurface, ...],
 ) -> tuple[Landing, FirstHits]:
-    """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
-    paths = _NodePaths(landing.nodes.positions, landing.nodes.velocities, now.length, now.frame)
-    met = _first_hits(paths, landing.nodes.stuck, candidates, due, touch, room)
+    """The landing of the nodes that met a surface, one after the other, since they are few; not differentiable."""
+    nodes, met = landing.nodes, room
+    for number, (surface, first) in enumerate(zip(surfaces, first_numbers(surfaces), strict=False)):
+        paths = _NodePaths(nodes.positions, nodes.velocities, now.length, now.frames[number])
+        touch = touch_distance(surface.grid)
+        met = _first_hits(
+            paths, touches_already(nodes, number, surface), candidates[number], due[number], touch, met, first
+        )
 
     def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
         landing, beta, chosen = carry
@@ -243,11 +275,19 @@ def _place_hit_nodes(
         def write_node(values: jax.Array, new: jax.Array) -> jax.Array:
             return new if values.ndim == 0 else put(values, new, node)
 
+        record = landing.record
+        landing = landing._replace(record=None)
         # All is read before anything is written (docs/explanation/kernels.md).
-        old, triangle = materialize((jax.tree.map(read_node, landing), read_node(chosen)))
-        new = place_on_mold(old, now, read_node(mass), mold, triangle)
+        old, masses, triangle = materialize(
+            (jax.tree.map(read_node, landing), jax.tree.map(read_node, mass), read_node(chosen))
+        )
+        new = place_on_surfaces(old, now, masses, surfaces, triangle, differentiable=False)
         nodes = dataclasses.replace(new.nodes, positions=unstack_rows(new.nodes.positions))
         landing = jax.tree.map(write_node, landing, new._replace(nodes=nodes))
+        if record is not None:
+            places = record.shape[1]
+            flat = put(record.reshape(-1), triangle.astype(record.dtype), now.number * places + node)
+            landing = landing._replace(record=flat.reshape(record.shape))
         beta, chosen = put(beta, jnp.full_like(beta[:1], jnp.inf), node), put(chosen, jnp.full_like(triangle, -1), node)
         return landing, beta, chosen
 
@@ -255,42 +295,86 @@ def _place_hit_nodes(
     return landing, FirstHits(beta, chosen, met.listed, jnp.int32(0))
 
 
-def place_on_mold(landing: Landing, now: ContactStep, mass: jax.Array, mold: Mold, chosen: jax.Array) -> Landing:
-    """The landing on the chosen triangles (n_node,), -1 where there is none; differentiable."""
-    lands, nodes = chosen >= 0, landing.nodes
+def touches_already(nodes: Nodes, number: int, surface: ContactSurface) -> jax.Array:
+    """Nodes (n,) that are not tested against a surface: they are stuck, or lie on it."""
+    if surface.mold.contact.sticks:
+        return nodes.stuck
+    return nodes.stuck | (nodes.wall != 0) & on_surface(nodes.tool, number)
+
+
+def place_on_surfaces(
+    landing: Landing,
+    now: ContactStep,
+    mass: tuple[jax.Array, jax.Array | None],
+    surfaces: tuple[ContactSurface, ...],
+    chosen: jax.Array,
+    *,
+    differentiable: bool,
+) -> Landing:
+    """The landing on the chosen triangles (n_node,), counted over all surfaces, -1 where there is none."""
+    firsts = first_numbers(surfaces)
+    if len(surfaces) == 1:
+        return _place_on_surface(landing, now, mass, surfaces[0], 0, chosen, differentiable=differentiable)
+    for number, surface in enumerate(surfaces):
+        here = (chosen >= firsts[number]) & (chosen < firsts[number + 1])
+        own = jnp.where(here, chosen - firsts[number], -1)
+        landing = _place_on_surface(landing, now, mass, surface, number, own, differentiable=differentiable)
+    return landing
+
+
+def _place_on_surface(
+    landing: Landing,
+    now: ContactStep,
+    masses: tuple[jax.Array, jax.Array | None],
+    surface: ContactSurface,
+    number: int,
+    chosen: jax.Array,
+    *,
+    differentiable: bool,
+) -> Landing:
+    """The landing on the chosen triangles (n_node,) of a surface, -1 where there is none; differentiable."""
+    lands, nodes, (mass, compliance) = chosen >= 0, landing.nodes, masses
     after, velocities = jnp.asarray(nodes.positions), nodes.velocities
-    frame, work = now.frame, landing.work
+    frame, work, mold = now.frames[number], landing.work, surface.mold
     if frame is not None:
         after, velocities = jnp.stack(frame.places(after)), jnp.stack(frame.speeds(velocities))
     before = after - now.length * velocities
     point, fall, beta = _landing_point(before, after, mold, jnp.maximum(chosen, 0), lands)
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
     wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)
-    kinetic = 0.5 * mass * dot(velocities, velocities)
+    loss = 0.5 * mass * dot(velocities, velocities)
     impact = landing.impact
     if impact is not None:
         impact = jnp.where(lands, jnp.concatenate([before, velocities]), impact)
-    landing_velocity: jax.Array | float = 0.0
+    new: Any = 0.0
+    if not mold.contact.sticks and compliance is not None:
+        left = jnp.where(lands, (1.0 - beta) * now.length, 0.0)
+        mobile = vector(jnp.where(c > 0.0, 1.0, 0.0) for c in compliance)
+        flying = unstack_rows(point), unstack_rows(velocities)
+        slid = land_and_slide(surface, *flying, wall, left, mobile, differentiable=differentiable)
+        point, new, wall, loss = jnp.stack(slid.positions), jnp.stack(slid.velocities), slid.wall, mass * slid.lost
     if frame is not None and work is not None:
         # The tool gives them its own velocity; what they had beside it is lost.
         offset, speed = frame.offset[:, None], frame.velocity[:, None]
-        work = work - jnp.sum(jnp.where(lands, mass * dot(velocities, speed), 0.0))
-        point, landing_velocity = point + offset, speed
+        work = work + jnp.sum(jnp.where(lands, mass * dot(new - velocities, speed), 0.0))
+        point, new = point + offset, new + speed
         after, velocities = jnp.asarray(nodes.positions), nodes.velocities
     time = now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length
     return Landing(
         nodes=dataclasses.replace(
             nodes,
             positions=jnp.where(lands, point, after),
-            velocities=jnp.where(lands, landing_velocity, velocities),
-            stuck=nodes.stuck | lands,
+            velocities=jnp.where(lands, new, velocities),
+            stuck=nodes.stuck | lands if mold.contact.sticks else nodes.stuck,
             contact_time=jnp.where(lands, time, nodes.contact_time),
             wall=jnp.where(lands, wall, nodes.wall),
+            tool=None if nodes.tool is None else jnp.where(lands, number, nodes.tool),
         ),
         step=jnp.where(lands, now.number, landing.step),
-        loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
+        loss=landing.loss + jnp.sum(jnp.where(lands, loss, 0.0)),
         impact=impact,
         work=work,
+        record=landing.record,
     )
 
 

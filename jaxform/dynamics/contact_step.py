@@ -6,6 +6,9 @@ A search takes no derivative. Where one is wanted, the window's steps are taken 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import operator
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -26,28 +29,34 @@ from jaxform.contact.broad_phase import (
 from jaxform.contact.lists import Candidates
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once, materialize, over_blocks
-from jaxform.model.scene import Scene, Tool
+from jaxform.model.scene import Scene
 from jaxform.tools.motion import ToolFrame
 
 FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 
 
-def update_broad_phase(moving: WindowState, scene: Scene, now: WindowData, candidates: Candidates) -> WindowState:
-    """Every few steps a look at where the nodes are, and where they will be at the next one.
+def update_broad_phase(
+    moving: WindowState, scene: Scene, now: WindowData, candidates: Sequence[Candidates]
+) -> WindowState:
+    """Every few steps a check of where the nodes are, and where they will be at the next one, for each surface.
 
-    What it says of the mold holds until then, unless a node has become so much faster that it may have touched unseen:
-    that shows in the next look, or when the list ends.
+    What it says of a surface holds until then, unless a node has become so much faster that it may have touched
+    unseen: that shows in the next check, or when the list ends.
     """
     nodes = moving.nodes
 
-    def check_again(last: BroadPhaseCheck) -> BroadPhaseCheck:
+    def check_again(last: tuple[BroadPhaseCheck, ...]) -> tuple[BroadPhaseCheck, ...]:
         till_next = jnp.minimum(LOOK_EVERY, now.max_count - moving.count) * now.length
-        state = jax.lax.stop_gradient((*to_tool_frame(moving, scene, now), nodes.stuck, till_next, candidates))
-        new = check_nodes(*state, last, now.active.packed.elements.node_block_count)
-        return new._replace(close=new.close | now.always_check)
+        count, found = now.active.packed.elements.node_block_count, []
+        for number, listed in enumerate(candidates):
+            places = to_tool_frame(moving, scene, now, number)
+            state = jax.lax.stop_gradient((*places, nodes.stuck, till_next, listed))
+            new = check_nodes(*state, last[number], count)
+            found.append(new._replace(close=new.close | now.always_check))
+        return tuple(found)
 
     due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
-    seen = lax_cond_once(due, check_again, moving.last_look)
+    seen = lax_cond_once(due, check_again, moving.last_checks)
     # Read before they are written (docs/explanation/kernels.md).
     seen, positions, velocities = materialize((seen, nodes.positions, nodes.velocities))
     return dataclasses.replace(
@@ -55,55 +64,74 @@ def update_broad_phase(moving: WindowState, scene: Scene, now: WindowData, candi
     )
 
 
-def to_tool_frame(moving: WindowState, scene: Scene, now: WindowData) -> tuple[Any, jax.Array]:
-    """Positions [m] and velocities [m/s] of now in the frame of the tool, where that moves."""
+def to_tool_frame(moving: WindowState, scene: Scene, now: WindowData, number: int) -> tuple[Any, jax.Array]:
+    """Positions [m] and velocities [m/s] of now in the frame of a surface, where that moves."""
     positions, velocities = moving.nodes.positions, moving.nodes.velocities
-    if scene.motion is None:
+    motion = scene.surfaces[number].mold.motion
+    if motion is None:
         return positions, velocities
     time = now.begin + moving.count * now.length
-    frame = scene.motion.frame(time - now.length, time)
+    frame = motion.frame(time - now.length, time)
     return frame.places(positions), jnp.stack(frame.speeds(velocities))
 
 
 def search_contact(
     moved: WindowState,
     length: jax.Array,
-    tool: Tool,
-    candidates: Candidates,
+    candidates: Sequence[Candidates],
     scene: Scene,
     now: WindowData,
-    frame: ToolFrame | None,
+    frames: tuple[ToolFrame | None, ...],
 ) -> WindowState:
     """Contact of one step; where a node is about to leave its sphere, another list is due."""
     assert moved.hits is not None
-    due, leaving = _active_pairs(moved, candidates, scene, now)
-    flying, this = _free_flight(moved, length, now, frame)
-    landing, met = sticking.apply_contact(flying, this, due, now.active.mass, candidates, tool, moved.hits)
+    found = [_active_pairs(moved, listed, scene, now, number) for number, listed in enumerate(candidates)]
+    flying, this = _free_flight(moved, length, now, frames)
+    due, mass = [pairs.due for pairs in found], _masses(scene, now)
+    landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, moved.hits)
+    missed = functools.reduce(operator.or_, [seen.missed for seen in moved.last_checks])
     return dataclasses.replace(
         _apply_landing(moved, landing),
         hits=met,
-        halted=moved.halted | moved.last_look.missed | (moved.count >= now.max_count),
-        stale=leaving,
+        halted=moved.halted | missed | (moved.count >= now.max_count),
+        stale=functools.reduce(operator.or_, [pairs.leaving for pairs in found]),
     )
 
 
 def replay_contact(
-    moved: WindowState, length: jax.Array, tool: Tool, known: KnownContact, now: WindowData, frame: ToolFrame | None
+    moved: WindowState,
+    length: jax.Array,
+    scene: Scene,
+    known: KnownContact,
+    now: WindowData,
+    frames: tuple[ToolFrame | None, ...],
 ) -> WindowState:
     """Contact of one step of a window whose landings are known; differentiable."""
-    flying, this = _free_flight(moved, length, now, frame)
-    lands = (known.step == this.number) & ~moved.nodes.stuck
-    chosen = jnp.where(lands, jnp.abs(known.wall) - 1, -1)
-    moved = _apply_landing(moved, sticking.apply_known_contact(flying, this, chosen, now.active.mass, tool.mold))
+    flying, this = _free_flight(moved, length, now, frames)
+    if known.record is None:
+        lands = (known.step == this.number) & ~moved.nodes.stuck
+        chosen = jnp.where(lands, known.chosen, -1)
+    else:
+        touching = jnp.where(this.number < known.count, known.record[this.number], -1)
+        chosen = jnp.where(moved.nodes.stuck, -1, touching)
+    mass = _masses(scene, now)
+    moved = _apply_landing(moved, sticking.apply_known_contact(flying, this, chosen, mass, scene.surfaces))
     return dataclasses.replace(moved, halted=moved.halted | (moved.count >= known.count))
 
 
+def _masses(scene: Scene, now: WindowData) -> tuple[jax.Array, jax.Array | None]:
+    """The nodes' masses [kg], and where they may slide their compliances [1/kg]."""
+    return now.active.mass, now.active.compliance if scene.slides else None
+
+
 def _free_flight(
-    moved: WindowState, length: jax.Array, now: WindowData, frame: ToolFrame | None
+    moved: WindowState, length: jax.Array, now: WindowData, frames: tuple[ToolFrame | None, ...]
 ) -> tuple[sticking.Landing, sticking.ContactStep]:
     account = moved.account
-    flying = sticking.Landing(moved.nodes, moved.landing_step, account.contact_loss, moved.impact, account.tool_work)
-    return flying, sticking.ContactStep(length, now.begin + moved.count * now.length, moved.count - 1, frame)
+    flying = sticking.Landing(
+        moved.nodes, moved.landing_step, account.contact_loss, moved.impact, account.tool_work, moved.record
+    )
+    return flying, sticking.ContactStep(length, now.begin + moved.count * now.length, moved.count - 1, frames)
 
 
 def _apply_landing(moved: WindowState, landing: sticking.Landing) -> WindowState:
@@ -112,30 +140,38 @@ def _apply_landing(moved: WindowState, landing: sticking.Landing) -> WindowState
         nodes=landing.nodes,
         landing_step=landing.step,
         impact=landing.impact,
+        record=landing.record,
         account=dataclasses.replace(moved.account, contact_loss=landing.loss, tool_work=landing.work),
     )
 
 
-def any_missed(moving: WindowState, candidates: Candidates, scene: Scene, now: WindowData) -> jax.Array:
-    """True where, at the end of a list, a node may have missed the mold."""
-    seen = moving.last_look
+def any_missed(moving: WindowState, candidates: Sequence[Candidates], scene: Scene, now: WindowData) -> jax.Array:
+    """True where, at the end of a list, a node may have missed a surface."""
+    missed = jnp.asarray(False)
+    for number, (listed, seen) in enumerate(zip(candidates, moving.last_checks, strict=True)):
 
-    def work(positions: list[jax.Array], stuck: jax.Array, sphere: tuple[jax.Array, ...]) -> tuple[list, list]:
-        return [], [may_have_missed(positions, stuck, sphere, seen)]
+        def work(
+            positions: list[jax.Array], stuck: jax.Array, sphere: tuple[jax.Array, ...], seen: Any = seen
+        ) -> tuple[list, list]:
+            return [], [may_have_missed(positions, stuck, sphere, seen)]
 
-    positions, _ = to_tool_frame(moving, scene, now)
-    inputs = jax.lax.stop_gradient((positions, moving.nodes.stuck, list_spheres(candidates)))
-    _, (count,) = over_blocks(work, now.active.packed.elements.node_block_count, inputs, [], sums=1)
-    return seen.missed | (count > 0)
+        positions, _ = to_tool_frame(moving, scene, now, number)
+        inputs = jax.lax.stop_gradient((positions, moving.nodes.stuck, list_spheres(listed)))
+        _, (count,) = over_blocks(work, now.active.packed.elements.node_block_count, inputs, [], sums=1)
+        missed = missed | seen.missed | (count > 0)
+    return missed
 
 
-def _active_pairs(moved: WindowState, candidates: Candidates, scene: Scene, now: WindowData) -> ActivePairs:
+def _active_pairs(
+    moved: WindowState, candidates: Candidates, scene: Scene, now: WindowData, number: int
+) -> ActivePairs:
     """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
-    positions, _ = to_tool_frame(moved, scene, now)
-    state = jax.lax.stop_gradient((positions, moved.nodes.stuck, candidates))
+    positions, _ = to_tool_frame(moved, scene, now, number)
+    touches = sticking.touches_already(moved.nodes, number, scene.surfaces[number])
+    state = jax.lax.stop_gradient((positions, moved.nodes.stuck, touches, candidates))
     blocks = now.active.packed.elements.node_block_count
     found = lax_cond_once(
-        moved.last_look.close, lambda _: find_active_pairs(*state, blocks), no_active_pairs(candidates)
+        moved.last_checks[number].close, lambda _: find_active_pairs(*state, blocks), no_active_pairs(candidates)
     )
     return found if scene.solver.skip_far else found._replace(due=all_blocks(candidates))
 

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.lists import Candidates
+from jaxform.contact.sliding import ContactLosses, LyingNodes, lying_nodes, slide_nodes
 from jaxform.dynamics.contact_step import check_free_flight, replay_contact, search_contact, update_broad_phase
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
 from jaxform.kernels.blocks import materialize, over_blocks, total
@@ -27,12 +28,13 @@ from jaxform.mechanics.corners import (
 )
 from jaxform.mechanics.elements import Corners, gather_shares, gather_table
 from jaxform.mechanics.force import force
-from jaxform.mechanics.membrane import vector
+from jaxform.mechanics.membrane import Vector, vector
+from jaxform.mechanics.nodes import Nodes
 from jaxform.model.field import Surroundings, advance_fields
 from jaxform.model.scene import Scene
 from jaxform.sheet.energy_balance import pressure_at, rim_ends, rim_swept_volume
 from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, update_velocity
-from jaxform.tools.motion import ToolFrame
+from jaxform.tools.motion import ToolFrame, tool_velocity
 
 
 def step(
@@ -40,7 +42,7 @@ def step(
     pressures: tuple[jax.Array, ...],
     scene: Scene,
     now: WindowData,
-    contact: Candidates | KnownContact | None = None,
+    contact: tuple[Candidates, ...] | KnownContact | None = None,
 ) -> WindowState:
     """One step of the central-difference scheme (the paper's Eq. 8 with damping), and contact.
 
@@ -50,11 +52,11 @@ def step(
             velocity takes [s].
         scene: The scene.
         now: The window.
-        contact: Among what contact is searched for, or what is known of it; None where there is no mold.
+        contact: Of each surface, among what contact is searched for, or what is known of it; None where there are none.
     """
     pressure, mean_pressure, kick = pressures
-    length, tool = now.length, scene.tool
-    if isinstance(contact, Candidates):
+    length = now.length
+    if isinstance(contact, tuple) and not isinstance(contact, KnownContact):
         moving = update_broad_phase(moving, scene, now, contact)
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
@@ -67,13 +69,13 @@ def step(
         # The velocity's step is half of the last one and half of this one.
         pressed = pressure_at(moving.account, scene, begin, 2.0 * kick - length, volume)
         pressure, mean_pressure = pressed.pressure, 0.5 * (last.pressure + pressed.pressure)
-    frame = None if scene.motion is None else scene.motion.frame(begin, begin + length)
+    frames = scene.frames(begin, begin + length)
     response = now.active.response(scene.material, _memory(moving, scene, now))
     load = Load(moving.nodes.positions, now.active.thickness, pressure, *response)
     if moving.room is None:
-        taken = _advance_nodes(load, moving, kick, length, scene, now, frame)
+        taken = _advance_nodes(load, moving, kick, length, scene, now, frames)
     else:
-        taken = _advance_nodes_in_blocks(load, moving, moving.room, kick, length, scene, now, frame)
+        taken = _advance_nodes_in_blocks(load, moving, moving.room, kick, length, scene, now, frames)
     volume, account = taken.volume + now.active.idle_volume, moving.account
     swept = account.swept_volume(volume)
     if moving.room is None:
@@ -81,7 +83,9 @@ def step(
         volume, swept = jnp.where(moving.halted, account.volume, volume), jnp.where(moving.halted, 0.0, swept)
     moved = dataclasses.replace(
         moving,
-        nodes=dataclasses.replace(moving.nodes, positions=taken.positions, velocities=taken.velocities),
+        nodes=dataclasses.replace(
+            moving.nodes, positions=taken.positions, velocities=taken.velocities, **_contact_change(moving, taken)
+        ),
         account=dataclasses.replace(
             account,
             volume=volume,
@@ -89,20 +93,30 @@ def step(
             external_work=account.external_work + mean_pressure * swept,
             damping_loss=account.damping_loss + taken.loss,
             tool_work=None if account.tool_work is None else account.tool_work + taken.work,
+            contact_loss=account.contact_loss + taken.impact,
+            friction_loss=None if account.friction_loss is None else account.friction_loss + taken.friction,
             viscous_loss=_add_viscous_loss(moving, length, taken.remembered),
         ),
         memory=_update_memory(moving, taken.remembered),
         count=moving.count + jnp.where(moving.halted, 0, 1),
         room=taken.room,
     )
-    if tool is not None and isinstance(contact, Candidates):
-        moved = search_contact(moved, length, tool, contact, scene, now, frame)
-    elif tool is not None and isinstance(contact, KnownContact):
-        moved = replay_contact(moved, length, tool, contact, now, frame)
+    if isinstance(contact, KnownContact):
+        moved = replay_contact(moved, length, scene, contact, now, frames)
+    elif contact is not None:
+        moved = search_contact(moved, length, contact, scene, now, frames)
     elif moving.room is None:
         moved = dataclasses.replace(moved, halted=check_free_flight(moved, scene, now))
     moved = _add_rim_volume(moved, moving.halted, rim, now)
     return _advance_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
+
+
+def _contact_change(moving: WindowState, taken: _AdvancedNodes) -> dict[str, jax.Array]:
+    """The nodes' contact after the step, where nodes may slide."""
+    if taken.slid is None:
+        return {}
+    wall, left = taken.slid
+    return {"wall": wall, "contact_time": jnp.where(left, -1.0, moving.nodes.contact_time)}
 
 
 def _add_rim_volume(moved: WindowState, halted: jax.Array, before: jax.Array | None, now: WindowData) -> WindowState:
@@ -174,7 +188,8 @@ def _advance_fields(
 class _AdvancedNodes(NamedTuple):
     """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
 
-    And what elements remember, None where they have no viscous modes; and the work of the tool where it moves [J].
+    And what elements remember, None where they have no viscous modes; the work of tools that move, and losses by
+    friction and impact [J]. Where nodes may slide: what they touch (n,), and whether they left a tool.
     """
 
     positions: jax.Array | membrane.Vector
@@ -184,6 +199,9 @@ class _AdvancedNodes(NamedTuple):
     room: Corners | None
     remembered: HistoryUpdate | None
     work: jax.Array | float = 0.0
+    friction: jax.Array | float = 0.0
+    impact: jax.Array | float = 0.0
+    slid: tuple[jax.Array, jax.Array] | None = None
 
 
 def _advance_nodes(
@@ -193,26 +211,54 @@ def _advance_nodes(
     length: jax.Array,
     scene: Scene,
     now: WindowData,
-    frame: ToolFrame | None,
+    frames: tuple[ToolFrame | None, ...],
 ) -> _AdvancedNodes:
     nodal, volume = force(load, now.active.packed.elements)
     nodal = add_gravity(nodal, now.active.mass, scene.solver.gravity)
-    nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
-    velocities, losses = update_velocity(nodal, moving.nodes.velocities, nodes, kick, scene.solver.damping)
+    own = moving.nodes
+    nodes = own.stuck, now.active.mass, now.active.compliance
+    velocities, losses = update_velocity(nodal, own.velocities, nodes, kick, scene.solver.damping)
     work: jax.Array | float = 0.0
-    if frame is not None:
-        both = moving.nodes.velocities, velocities
-        velocities, held, done = apply_tool_velocity(nodal, both, nodes, moving.nodes.wall, kick, frame.velocity)
+    carrier = tool_velocity(frames, own.tool)
+    if carrier is not None:
+        both = own.velocities, velocities
+        velocities, held, done = apply_tool_velocity(nodal, both, nodes, own.wall, kick, carrier)
         work, losses = total(done), None if losses is None else jnp.where(held, 0.0, losses)
         # Of a halted window nothing moves, and nothing is done.
         velocities = [jnp.where(moving.halted, old, new) for old, new in zip(both[0], velocities, strict=True)]
         work = jnp.where(moving.halted, 0.0, work)
-    positions = moving.nodes.positions + length * jnp.stack(velocities)
-    loss = total(losses) if losses is not None else 0.0
+    positions = own.positions + length * jnp.stack(velocities)
     rest, modes = None, now.losing
     if modes is not None and now.recursion is not None:
         rest = update_history(load, now.active.packed.elements, modes, now.recursion)
-    return _AdvancedNodes(positions, jnp.stack(velocities), volume, loss, None, rest, work)
+    loss = total(losses) if losses is not None else 0.0
+    taken = _AdvancedNodes(positions, jnp.stack(velocities), volume, loss, None, rest, work)
+    if not scene.slides:
+        return taken
+    lies = lying_nodes(own.stuck, own.wall) & ~moving.halted
+    before = vector(own.positions), vector(own.velocities)
+    lying = _lying(before, vector(velocities), vector(nodal), own, lies, now)
+    slid = slide_nodes(lying, (kick, length), scene.surfaces, frames, scene.solver.damping, differentiable=True)
+    positions = jnp.where(lies, jnp.stack(slid.positions), positions)
+    velocities = jnp.where(lies, jnp.stack(slid.velocities), jnp.stack(velocities))
+    lost = ContactLosses(*(jnp.where(lies, x, 0.0) for x in slid.losses))
+    damped = 0.0 if losses is None else total(jnp.where(lies, lost.damping, losses))
+    return taken._replace(
+        positions=positions,
+        velocities=velocities,
+        loss=damped,
+        work=work + total(lost.work),
+        friction=total(lost.friction),
+        impact=total(lost.impact),
+        slid=(jnp.where(lies, slid.wall, own.wall), lies & slid.left),
+    )
+
+
+def _lying(
+    before: tuple[Vector, Vector], free: Vector, nodal: Vector, own: Nodes, lies: jax.Array, now: WindowData
+) -> LyingNodes:
+    mobile = vector(jnp.where(c > 0.0, 1.0, 0.0) for c in now.active.compliance)
+    return LyingNodes(*before, free, nodal, now.active.mass, mobile, own.wall, own.tool, lies)
 
 
 def _advance_nodes_in_blocks(
@@ -223,7 +269,7 @@ def _advance_nodes_in_blocks(
     length: jax.Array,
     scene: Scene,
     now: WindowData,
-    frame: ToolFrame | None,
+    frames: tuple[ToolFrame | None, ...],
 ) -> _AdvancedNodes:
     """Advances elements and nodes in one pass over each of those in use; not differentiable."""
     elements = now.active.packed.elements
@@ -233,23 +279,93 @@ def _advance_nodes_in_blocks(
     else:
         corners, volume, rest = viscous_corner_forces(load, elements, room, modes, now.recursion)
     nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
+    own = moving.nodes
+    moves, slides = any(frame is not None for frame in frames), scene.slides
 
-    def work(old: Any, own: Any, nodes: Any, wall: Any) -> Any:
+    def work(old: Any, table: Any, nodes: Any, wall: Any, tool: Any) -> Any:
         (x,), (y,), (z,), before = old
-        nodal, sums = add_gravity(gather_shares(corners, own), nodes[1], scene.solver.gravity), []
+        nodal, sums = add_gravity(gather_shares(corners, table), nodes[1], scene.solver.gravity), []
         velocities, losses = update_velocity(nodal, before, nodes, kick, scene.solver.damping)
-        if frame is not None:
-            velocities, held, done = apply_tool_velocity(nodal, (before, velocities), nodes, wall, kick, frame.velocity)
+        if moves:
+            carrier = tool_velocity(frames, tool)
+            velocities, held, done = apply_tool_velocity(nodal, (before, velocities), nodes, wall, kick, carrier)
             sums, losses = [done], None if losses is None else jnp.where(held, 0.0, losses)
-        new = materialize(vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True)))
+        new = vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True))
+        if slides:
+            # These are left for `_slide_in_blocks`.
+            lies = lying_nodes(nodes[0], wall)
+            new = vector(jnp.where(lies, old, x) for old, x in zip((x, y, z), new, strict=True))
+            velocities = vector(jnp.where(lies, old, v) for old, v in zip(before, velocities, strict=True))
+            losses = None if losses is None else jnp.where(lies, 0.0, losses)
+        new = materialize(new)
         return [*([x] for x in new), velocities], sums if losses is None else [losses, *sums]
 
-    inputs = gather_table(elements), nodes, None if frame is None else moving.nodes.wall
-    into = [*(x[None] for x in moving.nodes.positions), moving.nodes.velocities]
-    damped, moves = scene.solver.damping is not None, frame is not None
+    inputs = (
+        gather_table(elements),
+        nodes,
+        own.wall if moves or slides else None,
+        own.tool if moves else None,
+    )
+    into = [*(x[None] for x in own.positions), own.velocities]
+    damped = scene.solver.damping is not None
     # Positions and velocities are each read by what is written there alone, so that neither need be copied.
     new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=damped + moves, update=4, kept=False)
-    positions = vector(row for (row,) in new[:3])
-    return _AdvancedNodes(
-        positions, new[3], volume, sums[0] if damped else 0.0, corners, rest, sums[-1] if moves else 0.0
+    taken = _AdvancedNodes(
+        vector(row for (row,) in new[:3]),
+        new[3],
+        volume,
+        sums[0] if damped else 0.0,
+        corners,
+        rest,
+        sums[-1] if moves else 0.0,
+    )
+    return _slide_in_blocks(taken, moving, kick, length, scene, now, frames) if slides else taken
+
+
+def _slide_in_blocks(
+    taken: _AdvancedNodes,
+    moving: WindowState,
+    kick: jax.Array,
+    length: jax.Array,
+    scene: Scene,
+    now: WindowData,
+    frames: tuple[ToolFrame | None, ...],
+) -> _AdvancedNodes:
+    """Advances the nodes that lie on tools, which the pass over all nodes left where they were; not differentiable."""
+    corners, own, damping = taken.room, moving.nodes, scene.solver.damping
+    assert corners is not None
+    elements = now.active.packed.elements
+
+    def slide(old: Any, table: Any, lies: Any, nodes: Any) -> Any:
+        (x,), (y,), (z,), before, (wall,), (left,) = old
+        stuck, mass, compliance, tool = nodes
+        nodal = add_gravity(gather_shares(corners, table), mass, scene.solver.gravity)
+        free, _ = update_velocity(nodal, before, (stuck, mass, compliance), kick, damping)
+        mobile = vector(jnp.where(c > 0.0, 1.0, 0.0) for c in compliance)
+        lying = LyingNodes(
+            (x, y, z), vector(before), vector(free), vector(nodal), mass, mobile, wall.astype(jnp.int32), tool, lies
+        )
+        slid = slide_nodes(lying, (kick, length), scene.surfaces, frames, damping, differentiable=False)
+        places = [[jnp.where(lies, new, x)] for new, x in zip(slid.positions, (x, y, z), strict=True)]
+        speeds = [jnp.where(lies, new, v) for new, v in zip(slid.velocities, before, strict=True)]
+        rows = [*places, speeds, [jnp.where(lies, slid.wall, wall)], [jnp.where(lies, slid.left, left)]]
+        return rows, [jnp.where(lies, x, 0.0) for x in slid.losses]
+
+    def work(old: Any, table: Any, stuck: Any, wall: Any, nodes: Any) -> Any:
+        lies = lying_nodes(stuck, wall)
+        none = [jnp.zeros_like(nodes[0])] * 4
+        state = jax.lax.optimization_barrier((old, table, lies, (stuck, *nodes)))
+        return jax.lax.cond(jnp.any(lies), slide, lambda old, *_: (old, none), *state)
+
+    inputs = gather_table(elements), own.stuck, own.wall, (now.active.mass, now.active.compliance, own.tool)
+    into = [*(x[None] for x in taken.positions), taken.velocities, own.wall[None], jnp.zeros_like(own.stuck)[None]]
+    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=4, update=6)
+    return taken._replace(
+        positions=vector(row for (row,) in new[:3]),
+        velocities=new[3],
+        work=taken.work + sums[0],
+        friction=sums[1],
+        impact=sums[2],
+        loss=taken.loss + sums[3],
+        slid=(new[4][0], new[5][0]),
     )

@@ -74,13 +74,13 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
     if scene.solver.damping is None:
         longest = _UNDAMPED * longest
     end = scene.solver.end_time
-    if scene.tables.grid is not None:
+    for mold, grid, _ in scene.surfaces:
         # No node passes more of the range of its list in one step than can be watched.
-        range_per_step = RANGE_PER_STEP * scene.tables.grid.farthest
+        range_per_step = RANGE_PER_STEP * grid.farthest
         speed = highest_speed(state.nodes.velocities, active.packed.elements.node_block_count)
-        if scene.motion is not None:
-            # Up to where the mold becomes faster, and no further in this window.
-            fastest, until = scene.motion.speed_from(state.time)
+        if mold.motion is not None:
+            # Up to where the tool becomes faster, and no further in this window.
+            fastest, until = mold.motion.speed_from(state.time)
             speed, end = speed + fastest, jnp.minimum(end, until)
         longest = jnp.minimum(longest, range_per_step / jnp.maximum(speed, 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)

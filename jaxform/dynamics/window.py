@@ -8,6 +8,8 @@ design; inside a window all shapes are fixed and the continuous state flows thro
 from __future__ import annotations
 
 import dataclasses
+import functools
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -84,7 +86,7 @@ def allocate_workspace(active: ActiveSet, scene: Scene) -> ActiveSet:
     """The active set with a workspace for the arrays computed in every window."""
     places, elements = active.compliance, active.packed.elements
     basis = allocate_basis(places.shape[1], places.dtype) if scene.solver.sharp_step else None
-    lists = None if scene.mold is None else _allocate_lists(scene, places)
+    lists = _allocate_lists(scene, places) if scene.surfaces else None
     return dataclasses.replace(active, workspace=Workspace(allocate_corner_forces(places, elements), basis, lists))
 
 
@@ -96,7 +98,7 @@ def window_and_impacts(
     And its impact (6, n_node), as in `sticking.Landing`; None where there is no mold.
     """
     active = active_set_of(state, scene, discrete)
-    impacts, packed = scene.mold is not None, active.packed
+    impacts, packed = bool(scene.surfaces), active.packed
     begin = active.pack_state(state)
     decisions = _make_decisions(begin, scene, active, schedule)
     end, moving, _ = _step_window(begin, scene, active, decisions, differentiable=False, impacts=impacts)
@@ -150,18 +152,27 @@ def _step_window(
 
 _Steps = tuple[jax.Array, ...]
 """What `step` takes of all steps of a window."""
+_Lists = tuple[CandidateLists, ...]
+"""Workspace of the candidate lists of all surfaces."""
+_Searching = tuple[WindowState, ContactSearch, _Lists]
 
 
 def _advance(
-    state: PackedState, scene: Scene, now: WindowData, steps: _Steps, room: Workspace | None, impacts: bool
-) -> tuple[WindowState, ContactSearch | None, CandidateLists | None]:
+    state: PackedState,
+    scene: Scene,
+    now: WindowData,
+    steps: _Steps,
+    room: Workspace | None,
+    impacts: bool,
+    recorded: bool = False,
+) -> tuple[WindowState, ContactSearch | None, _Lists | None]:
     """The steps of a window, with its contact searched for; not differentiable."""
     corners = (
         allocate_corner_forces(state.nodes.positions, now.active.packed.elements) if room is None else room.corners
     )
-    moving = _begin_window(state, scene, now, corners, impacts)
+    moving = _begin_window(state, scene, now, corners, impacts, recorded)
     moving = _set_positions(moving, membrane.unstack_rows(state.nodes.positions))
-    if scene.tool is None:
+    if not scene.surfaces:
         moving, searched, lists = _advance_until_halted(moving, scene, now, steps), None, None
     else:
         lists = _allocate_lists(scene, state.nodes.positions) if room is None or room.lists is None else room.lists
@@ -170,29 +181,33 @@ def _advance(
 
 
 def _advance_over_lists(
-    moving: WindowState, scene: Scene, now: WindowData, steps: _Steps, lists: CandidateLists
-) -> tuple[WindowState, ContactSearch, CandidateLists]:
-    """The steps of a window with a mold: as long as one list of candidates holds, then with another."""
+    moving: WindowState, scene: Scene, now: WindowData, steps: _Steps, lists: _Lists
+) -> tuple[WindowState, ContactSearch, _Lists]:
+    """The steps of a window with tools: as long as the lists of candidates hold, then with others."""
+    count = len(scene.surfaces)
 
-    def advance_with_list(
-        carry: tuple[WindowState, ContactSearch, CandidateLists],
-    ) -> tuple[WindowState, ContactSearch, CandidateLists]:
+    def advance_with_lists(
+        carry: tuple[WindowState, ContactSearch, _Lists],
+    ) -> tuple[WindowState, ContactSearch, _Lists]:
         moving, searched, lists = carry
-        candidates = _list_candidates(moving, scene, now, lists)
-        halted = moving.halted | candidates.overflow
-        moving = dataclasses.replace(moving, halted=halted, stale=jnp.asarray(False), check=initial_check())
+        candidates = tuple(_list_candidates(moving, scene, now, number, lists[number]) for number in range(count))
+        full = functools.reduce(operator.or_, [listed.overflow for listed in candidates])
+        moving = dataclasses.replace(
+            moving, halted=moving.halted | full, stale=jnp.asarray(False), check=(initial_check(),) * count
+        )
         moving = _advance_until_halted(moving, scene, now, steps, candidates)
         missed = any_missed(moving, candidates, scene, now)
-        pairs, overflow = jnp.maximum(searched.pairs, candidates.count), searched.overflow | candidates.overflow
+        pairs = functools.reduce(jnp.maximum, [listed.count for listed in candidates], searched.pairs)
         moving = dataclasses.replace(moving, halted=moving.halted | missed)
-        return moving, ContactSearch(pairs, overflow, searched.missed | missed), candidates.lists
+        found = ContactSearch(pairs, searched.overflow | full, searched.missed | missed)
+        return moving, found, tuple(listed.lists for listed in candidates)
 
     none = ContactSearch(jnp.int32(0), jnp.asarray(False), jnp.asarray(False))
-    return jax.lax.while_loop(lambda carry: _continues(carry[0], now), advance_with_list, (moving, none, lists))
+    return jax.lax.while_loop(lambda carry: _continues(carry[0], now), advance_with_lists, (moving, none, lists))
 
 
 def _advance_until_halted(
-    moving: WindowState, scene: Scene, now: WindowData, steps: _Steps, candidates: Candidates | None = None
+    moving: WindowState, scene: Scene, now: WindowData, steps: _Steps, candidates: tuple[Candidates, ...] | None = None
 ) -> WindowState:
     """The steps of a window, as far as a list of candidates holds."""
 
@@ -216,9 +231,11 @@ def _replay_steps(
     """The steps of a window, differentiable: where there is a mold, with the landings that a search has found."""
     searched = known = None
     moving = _begin_window(state, scene, now)
-    if scene.tool is not None:
-        found, searched, _ = _advance(*jax.lax.stop_gradient((state, scene, now, steps)), None, False)
-        known, searched = save_decision((KnownContact(found.landing_step, found.nodes.wall, found.count), searched))
+    if scene.surfaces:
+        found, searched, _ = _advance(*jax.lax.stop_gradient((state, scene, now, steps)), None, False, scene.slides)
+        chosen = sticking.encode_landing(found.nodes.wall, found.nodes.tool, scene.surfaces)
+        landings = KnownContact(found.landing_step, chosen, found.count, found.record)
+        known, searched = save_decision((landings, searched))
         moving = dataclasses.replace(moving, halted=known.count == 0)
     moving = _scan_in_chunks(lambda moving, own: (step(moving, own, scene, now, known), None), moving, steps)
     return moving, searched
@@ -268,11 +285,16 @@ def _choose_freely(state: PackedState, scene: Scene, active: ActiveSet) -> _Deci
 
 
 def _begin_window(
-    state: PackedState, scene: Scene, now: WindowData, room: Corners | None = None, impacts: bool = False
+    state: PackedState,
+    scene: Scene,
+    now: WindowData,
+    room: Corners | None = None,
+    impacts: bool = False,
+    recorded: bool = False,
 ) -> WindowState:
     """Before the first step; with room for corner forces where contact is searched for."""
     places, positions = now.active.mass.size, state.nodes.positions
-    searches = scene.tool is not None and room is not None
+    searches = bool(scene.surfaces) and room is not None
     return WindowState(
         nodes=state.nodes.contact_fields(),
         fields=state.nodes.fields,
@@ -283,9 +305,10 @@ def _begin_window(
         count=jnp.int32(0),
         halted=jnp.asarray(False),
         stale=jnp.asarray(False) if searches else None,
-        check=initial_check() if searches else None,
+        check=(initial_check(),) * len(scene.surfaces) if searches else None,
         room=room,
         hits=sticking.no_hits(places, positions.dtype) if searches else None,
+        record=jnp.full((scene.tables.window_room, places), -1, jnp.int32) if recorded else None,
     )
 
 
@@ -304,10 +327,12 @@ def _scan_in_chunks(advance: Callable[..., Any], moving: WindowState, steps: tup
     return jax.lax.scan(unless_halted, moving, short)[0]
 
 
-def _list_candidates(moving: WindowState, scene: Scene, now: WindowData, into: CandidateLists) -> Candidates:
-    """Candidates for the remaining steps of a window."""
-    assert scene.tool is not None
-    (positions, velocities), grid = jax.lax.stop_gradient((to_tool_frame(moving, scene, now), scene.tool.grid))
+def _list_candidates(
+    moving: WindowState, scene: Scene, now: WindowData, number: int, into: CandidateLists
+) -> Candidates:
+    """Candidates for the remaining steps of a window, of one surface."""
+    places = to_tool_frame(moving, scene, now, number)
+    (positions, velocities), grid = jax.lax.stop_gradient((places, scene.surfaces[number].grid))
     return list_candidates(
         jnp.stack(positions),
         velocities,
@@ -321,5 +346,6 @@ def _list_candidates(moving: WindowState, scene: Scene, now: WindowData, into: C
     )
 
 
-def _allocate_lists(scene: Scene, positions: jax.Array) -> CandidateLists:
-    return allocate_lists(positions.shape[1], positions.dtype, scene.tables.pairs_per_node)
+def _allocate_lists(scene: Scene, positions: jax.Array) -> _Lists:
+    room = allocate_lists(positions.shape[1], positions.dtype, scene.tables.pairs_per_node)
+    return (room,) * len(scene.surfaces)

@@ -22,6 +22,7 @@ from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.energy_balance import element_energy, energy_rounding, last_work, pressure_at
 from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, update_velocity
 from jaxform.sheet.state import PackedState, Replay, State, Status
+from jaxform.tools.motion import tool_velocity
 
 _MOST_RETRIES = 12
 SLACK = 1e-3  # of a step: less is rounding
@@ -176,15 +177,17 @@ def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> 
     room = allocate_corner_forces(positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
-    frame = None if scene.motion is None else scene.motion.frame(time, time + now.length)
+    frames = scene.frames(time, time + now.length)
+    moves = scene.moves
     middle = None if scene.tables.box is None else scene.tables.box.middle
 
-    def work(own: Any, nodes: Any, positions: Any, velocities: Any, wall: Any) -> Any:
+    def work(own: Any, nodes: Any, positions: Any, velocities: Any, wall: Any, tool: Any) -> Any:
         nodal, done = add_gravity(gather_shares(corners, own), nodes[1], scene.solver.gravity), []
         ahead, _ = update_velocity(nodal, velocities, nodes, now.length, scene.solver.damping)
-        if frame is not None:
+        if moves:
             # Half of what it does from now to the next force, at the velocity that it has had.
-            ahead, held, _ = apply_tool_velocity(nodal, (velocities, ahead), nodes, wall, now.length, frame.velocity)
+            carrier = tool_velocity(frames, tool)
+            ahead, held, _ = apply_tool_velocity(nodal, (velocities, ahead), nodes, wall, now.length, carrier)
             triples = zip(nodal, velocities, ahead, strict=True)
             pulls = [(nodes[1] * (new - old) - now.length * own) * old for own, old, new in triples]
             done = [jnp.where(held, 0.5 * sum(pulls), 0.0)]
@@ -198,9 +201,9 @@ def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> 
         return [], [*energies, *done, size]
 
     nodes = moving.nodes.stuck, active.mass, active.compliance
-    wall = None if frame is None else moving.nodes.wall
-    inputs = gather_table(elements), nodes, positions, moving.nodes.velocities, wall
-    sums = 2 if frame is None else 3
+    touched = (moving.nodes.wall, moving.nodes.tool) if moves else (None, None)
+    inputs = gather_table(elements), nodes, positions, moving.nodes.velocities, *touched
+    sums = 2 + moves
     _, (kinetic, behind, *tool, largest) = over_blocks(work, elements.node_block_count, inputs, [], sums=sums, most=1)
     return WindowEnd(kinetic, behind, largest, tool[0] if tool else None), corners
 

@@ -42,8 +42,9 @@ class WindowState:
     where no derivative is taken: else they would be taken apart in every step. `landing_step` is the step in which
     a node landed, NEVER where it has not in this window, and the impact that of `sticking.Landing`, None where it is
     not kept.
-    Whether another list of candidates is due, what was seen last of the mold, and the room for meetings are None where
-    none are looked for; the room for corner forces is None where derivatives are taken.
+    Whether another list of candidates is due, the last check of each surface, and the workspace for hits are None where
+    contact is not searched for; the room for corner forces is None where derivatives are taken. The record is that of
+    `sticking.Landing`.
     """
 
     nodes: Nodes
@@ -55,13 +56,14 @@ class WindowState:
     count: jax.Array
     halted: jax.Array
     stale: jax.Array | None
-    check: BroadPhaseCheck | None
+    check: tuple[BroadPhaseCheck, ...] | None
     room: Corners | None
     hits: FirstHits | None
+    record: jax.Array | None = None
 
     @property
-    def last_look(self) -> BroadPhaseCheck:
-        """The last broad-phase check, where contact is searched for."""
+    def last_checks(self) -> tuple[BroadPhaseCheck, ...]:
+        """The last broad-phase check of each surface, where contact is searched for."""
         assert self.check is not None
         return self.check
 
@@ -105,13 +107,14 @@ class ScheduleRow(NamedTuple):
 class KnownContact(NamedTuple):
     """Known contact of a window whose steps are recomputed, in packed order.
 
-    The step in which each node landed (place,), NEVER where it did not, and on what, as in `State`; and how many steps
-    were taken.
+    The step in which each node landed (place,), NEVER where it did not, and on which triangle of all surfaces; and how
+    many steps were taken. Where nodes may land more than once, the record of all landings instead.
     """
 
     step: jax.Array
-    wall: jax.Array
+    chosen: jax.Array
     count: jax.Array
+    record: jax.Array | None = None
 
 
 class ContactSearch(NamedTuple):
@@ -153,7 +156,10 @@ def initial_state(scene: Scene) -> State:
         there = jnp.arange(mesh.node.size) < mesh.node_count
         start = initial_node_state(scene, mesh.node)
         start = InitialNodeState(
-            start.stuck | ~there, jnp.where(there, start.contact_time, 0.0), jnp.where(there, start.wall, 0)
+            start.stuck | ~there,
+            jnp.where(there, start.contact_time, 0.0),
+            jnp.where(there, start.wall, 0),
+            start.tool,
         )
         positions, fields = positions[:, mesh.node], {name: values[mesh.node] for name, values in fields.items()}
     zero, none = as_real(0.0), jnp.int32(0)
@@ -168,6 +174,7 @@ def initial_state(scene: Scene) -> State:
             stuck=start.stuck,
             contact_time=start.contact_time,
             wall=start.wall,
+            tool=start.tool,
             mode=noise_vector(positions) if scene.solver.sharp_step else None,
             fields=fields,
         ),
@@ -177,8 +184,9 @@ def initial_state(scene: Scene) -> State:
             *[zero] * 8,
             viscous_loss=None if scene.material.viscous is None else zero,
             cooling_loss=zero if scene.stiffens else None,
-            tool_work=None if scene.motion is None else zero,
-            tool_last=None if scene.motion is None else zero,
+            tool_work=zero if scene.moves else None,
+            tool_last=zero if scene.moves else None,
+            friction_loss=zero if scene.slides else None,
             rim=None if scene.tables.rim is None else zero,
             gravity_work=None if scene.solver.gravity is None else zero,
         ),

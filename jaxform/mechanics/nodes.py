@@ -39,10 +39,12 @@ class Nodes:
     Attributes:
         positions: (3, n_node) [m]; inside a window's loop row by row, where no derivative is taken.
         velocities: (3, n_node) [m/s], half a step behind the positions.
-        stuck: Nodes (n_node,) that do not move any more: on the mold, or clamped.
-        contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
-        wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
-            came from the far side of its normal; 0 where it does not touch the mold.
+        stuck: Nodes (n_node,) that have no motion of their own any more: clamped, or on a tool to which they stick.
+        contact_time: When a node touched a tool (n_node,) [s]; -1 where free, 0 where clamped.
+        wall: What a node touches (n_node,): one more than the number of the tool's triangle, negative where the node
+            came from the far side of its normal; 0 where it touches none.
+        tool: The number of the tool that a node touches (n_node,), as in `Scene.surfaces`, or touched last; None where
+            there is one at most.
         mode: Of the highest frequency (3, n_node); None where it is not measured.
         fields: The scene's own, by name (n_node,).
     """
@@ -54,6 +56,7 @@ class Nodes:
     wall: jax.Array = dataclasses.field(metadata={"rule": FieldRule(beyond=0, absent=0)})
     mode: jax.Array | None = dataclasses.field(metadata={"rule": FieldRule()})
     fields: dict[str, jax.Array] = dataclasses.field(metadata={"rule": FieldRule(smooth=True, absent=0.0)})
+    tool: jax.Array | None = dataclasses.field(default=None, metadata={"rule": FieldRule(beyond=0, absent=-1)})
 
     def map_fields(self, function: Callable[[Any, FieldRule], Any]) -> Nodes:
         """The nodes with a function applied to each field and its rule."""

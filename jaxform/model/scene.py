@@ -25,8 +25,8 @@ from jaxform.model.field import Field
 from jaxform.model.part import Part
 from jaxform.model.tables import BisectionHierarchy, Precomputed
 from jaxform.tools.mold import Mold
-from jaxform.tools.motion import Motion
-from jaxform.tools.search import SearchGrid
+from jaxform.tools.motion import Motion, ToolFrame
+from jaxform.tools.surface_walk import ContactSurface
 
 
 @pytree
@@ -127,13 +127,6 @@ class Refinement:
         return int(max(self.max_level, self.base_level))
 
 
-class ContactSurface(NamedTuple):
-    """A tool that the sheet can touch, and its search structure for contact."""
-
-    mold: Mold
-    grid: SearchGrid
-
-
 class Adaptivity(NamedTuple):
     """Adaptive refinement: its limits, and the hierarchy of triangles that the mesh can be refined to."""
 
@@ -193,9 +186,26 @@ class Scene:
     @property
     def surfaces(self) -> tuple[ContactSurface, ...]:
         """The surfaces that the sheet can touch: the mold, where there is one, then the tools in their order."""
-        molds = [] if self.mold is None else [(self.mold, self.tables.grid)]
-        pairs = [*molds, *zip(self.tools, self.tables.tool_grids, strict=True)]
-        return tuple(ContactSurface(mold, grid) for mold, grid in pairs if grid is not None)
+        tables = self.tables
+        molds = [] if self.mold is None or tables.grid is None else [(self.mold, tables.grid)]
+        pairs = [*molds, *zip(self.tools, tables.tool_grids, strict=True)]
+        neighbors = tables.neighbors or (None,) * len(pairs)
+        return tuple(ContactSurface(*pair, own) for pair, own in zip(pairs, neighbors, strict=True))
+
+    @property
+    def moves(self) -> bool:
+        """True where a tool moves."""
+        return any(surface.mold.motion is not None for surface in self.surfaces)
+
+    @property
+    def slides(self) -> bool:
+        """True where nodes may lie on a tool without sticking to it."""
+        return any(not surface.mold.contact.sticks for surface in self.surfaces)
+
+    def frames(self, begin: jax.Array, end: jax.Array) -> tuple[ToolFrame | None, ...]:
+        """The frames of the surfaces in a step from one time to another [s]; None of those at rest."""
+        motions = [surface.mold.motion for surface in self.surfaces]
+        return tuple(None if motion is None else motion.frame(begin, end) for motion in motions)
 
     @property
     def adaptivity(self) -> Adaptivity | None:
@@ -217,7 +227,7 @@ class Scene:
     @property
     def rests(self) -> bool:
         """True if nodes in contact no longer change, so that a run can end when all nodes are in contact."""
-        steady = all(tool.motion is None and tool.contact.sticks for tool, _ in self.surfaces)
+        steady = all(each.mold.motion is None and each.mold.contact.sticks for each in self.surfaces)
         return steady and all(field.rests for field in self.fields.values())
 
     @property

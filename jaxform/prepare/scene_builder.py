@@ -20,7 +20,7 @@ from jaxform.materials import Cooling, Law
 from jaxform.mesh import bisection, topology, volumes
 from jaxform.model.field import Field
 from jaxform.model.part import Part, check_part
-from jaxform.model.scene import ContactSurface, Parison, Refinement, Scene, Solver, sample_pressures
+from jaxform.model.scene import Parison, Refinement, Scene, Solver, sample_pressures
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Precomputed, ReferenceGeometry, Rim, SceneBox
 from jaxform.prepare import component_validation, initial_contact
 from jaxform.prepare.refinement_setup import bends, build_hierarchy, check_capacity, pack_forest, reserve_capacity
@@ -37,7 +37,7 @@ from jaxform.sheet.packing import make_assembly, make_paired_assembly
 from jaxform.tools.mold import Mold
 from jaxform.tools.motion import Motion
 from jaxform.tools.search import SearchGrid, build_grid
-from jaxform.tools.surface_walk import signed_neighbors
+from jaxform.tools.surface_walk import ContactSurface, signed_neighbors
 
 # Rims that can move, along which the enclosed volume is not all that the sheet sweeps; on the host.
 
@@ -177,7 +177,7 @@ def build_scene(
             None
             if grid is None
             else initial_contact.find_initial_bisections(
-                forest, None if in_contact is None else in_contact[0], refinement, bend, grid
+                forest, None if in_contact is None else as_index(in_contact[0]), refinement, bend, grid
             )
         )
         refinement = reserve_capacity(refinement, forest, fine)
@@ -308,7 +308,7 @@ def _place_on_surface(
 
     That is the signed triangle and the number of the surface (n_node,) each; None where nothing touches.
     """
-    mold, grid = surface
+    mold, grid, _ = surface
     wall, positions = initial_contact.find_initial_contact(parison, triangles, pushes, mold, grid)
     if not np.any(wall):
         return parison, before

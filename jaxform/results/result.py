@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.pytree import abbreviate, as_real, marked_field_names, pytree, row_count
 from jaxform.mechanics import membrane
-from jaxform.mechanics.nodes import FieldRule
+from jaxform.mechanics.nodes import FieldRule, Nodes
 from jaxform.model.scene import Parison, Scene, make_parison
 from jaxform.results.filling import Filling
 from jaxform.results.recovery import nodal_ratio
@@ -43,7 +43,7 @@ class Energy:
         strain: Strain energy at the end.
         kinetic: Kinetic energy at the end.
         external_work: Pressure forces times nodal displacements: the sum of P dV, unless an open rim moves.
-        tool_work: Work of the moving mold.
+        tool_work: Work of tools that move.
         gravity_work: Work of gravity.
         pre_stretch_work: Strain energy of the pre-stretched sheet at the start.
         damping_loss: Work done against damping.
@@ -51,6 +51,7 @@ class Energy:
         refinement_loss: Strain and kinetic energy that new nodes took away.
         viscous_loss: Dissipation of the Prony terms.
         cooling_loss: Strain energy lost as the temperature softened the sheet, minus that gained as it stiffened.
+        friction_loss: Dissipation by friction on tools.
         kinetic_peak: Largest kinetic energy at the end of a window; carries no derivative.
         peak_work: Largest magnitude of the work, external and of the tool, at the end of a window; carries no
             derivative.
@@ -68,6 +69,7 @@ class Energy:
     refinement_loss: jax.Array = dataclasses.field(metadata=LOSS)
     viscous_loss: jax.Array = dataclasses.field(metadata=LOSS)
     cooling_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    friction_loss: jax.Array = dataclasses.field(metadata=LOSS)
     kinetic_peak: jax.Array
     peak_work: jax.Array
     rounding: jax.Array
@@ -85,7 +87,7 @@ class Energy:
 
     @property
     def work(self) -> jax.Array:
-        """Work done on the sheet by pressure, moving mold, gravity and pre-stretch."""
+        """Work done on the sheet by pressure, tools, gravity and pre-stretch."""
         return self.external_work + self.tool_work + self.gravity_work + self.pre_stretch_work
 
     @property
@@ -146,7 +148,9 @@ class Result:
         stuck: Mask of the nodes that no longer move (n_node,): in contact, or clamped.
         contact_time: Time of contact of each node (n_node,) [s]; -1 where free, 0 where clamped.
         wall: Contact of a node (n_node,): one more than the number of the mold's triangle, negative if the node came
-            from the side opposite to its normal; 0 without contact.
+            from the side opposite to its normal; 0 without contact with the mold.
+        tool: Number of the tool that a node touches (n_node,), in the order of `Scene.surfaces`: the mold, where there
+            is one, then the other tools; -1 without contact.
         fields: The scene's own nodal fields, by name (n_node,); 0 where the node does not exist.
         triangles: Node numbers of the elements (n_element, 3).
         level: Number of bisections of each from the scene's mesh (n_element,).
@@ -179,6 +183,7 @@ class Result:
     stuck: jax.Array = dataclasses.field(metadata=NODAL)
     contact_time: jax.Array = dataclasses.field(metadata=NODAL)
     wall: jax.Array = dataclasses.field(metadata=NODAL)
+    tool: jax.Array = dataclasses.field(metadata=NODAL)
     fields: dict[str, jax.Array] = dataclasses.field(metadata=NODAL)
     triangles: jax.Array
     level: jax.Array = dataclasses.field(metadata=OF_ELEMENTS)
@@ -267,7 +272,8 @@ def make_result(
         active=active,
         stuck=nodes.stuck,
         contact_time=nodes.contact_time,
-        wall=nodes.wall,
+        wall=_wall_of_mold(nodes, scene),
+        tool=_touched_tool(nodes),
         fields=nodes.fields,
         triangles=triangles.T,
         level=level,
@@ -285,7 +291,10 @@ def make_result(
             tool_work=_or_zero(state.account.total_tool_work),
             gravity_work=_or_zero(state.account.gravity_work),
             pre_stretch_work=_or_zero(state.account.pre_stretch_work),
-            **(dict.fromkeys(("viscous_loss", "cooling_loss"), jnp.zeros_like(state.time)) | state.account.losses()),
+            **(
+                dict.fromkeys(("viscous_loss", "cooling_loss", "friction_loss"), jnp.zeros_like(state.time))
+                | state.account.losses()
+            ),
             kinetic_peak=state.account.kinetic_peak,
             peak_work=jax.lax.stop_gradient(state.account.peak_work),
             rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),
@@ -299,6 +308,18 @@ def make_result(
         schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
         temperature=None if change is None else nodal(change, 0.0) + jnp.asarray(scene.parison.temperature),
     )
+
+
+def _wall_of_mold(nodes: Nodes, scene: Scene) -> jax.Array:
+    """What the nodes touch of the mold (n_node,), as in `Nodes.wall`; 0 where they touch another tool."""
+    if nodes.tool is None:
+        return nodes.wall if scene.mold is not None or not scene.tools else jnp.zeros_like(nodes.wall)
+    return jnp.where(nodes.tool == 0, nodes.wall, 0) if scene.mold is not None else jnp.zeros_like(nodes.wall)
+
+
+def _touched_tool(nodes: Nodes) -> jax.Array:
+    """The number of the tool that the nodes touch (n_node,), as in `Scene.surfaces`; -1 for none."""
+    return jnp.where(nodes.wall == 0, -1, 0 if nodes.tool is None else nodes.tool)
 
 
 def _kinetic_energy(state: State, scene: Scene, now: Discretization) -> jax.Array:

@@ -370,7 +370,8 @@ def add_filling(result: Result, scene: Scene) -> Result:
 
 
 def _contact_elements(result: Result) -> np.ndarray:
-    """Elements with three stuck nodes (n_element,), at least one of which touches the mold."""
+    """Elements with three nodes that are clamped or touch a tool (n_element,), at least one of which touches one."""
     triangles = np.asarray(result.triangles)
-    stuck, touched = np.asarray(result.stuck)[triangles], (np.asarray(result.contact_time) > 0)[triangles]
+    held = np.asarray(result.stuck) | (np.asarray(result.tool) >= 0)
+    stuck, touched = held[triangles], (np.asarray(result.contact_time) > 0)[triangles]
     return stuck.all(1) & touched.any(1)

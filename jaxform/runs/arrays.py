@@ -192,7 +192,7 @@ def pad_mold(mold: Mold) -> Mold:
     )
 
 
-def pad_neighbors(neighbors: jax.Array) -> Any:
+def pad_neighbors(neighbors: Any) -> Any:
     """The padded table of neighbors; padded triangles have none."""
     return pad_values(np.asarray(neighbors).T, capacities.mold_triangle_capacity(len(neighbors)), 0).T
 

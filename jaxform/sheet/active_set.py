@@ -99,12 +99,12 @@ class Workspace:
     Attributes:
         corners: For corner forces.
         basis: For the search for the stable step; None where it is not made.
-        lists: For what is near the mold; None where there is none.
+        lists: For what is near each surface; None where there is none.
     """
 
     corners: Corners
     basis: jax.Array | None
-    lists: CandidateLists | None
+    lists: tuple[CandidateLists, ...] | None
 
 
 class InitialProperties(NamedTuple):

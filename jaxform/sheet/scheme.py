@@ -23,6 +23,7 @@ from jaxform.sheet.active_set import ActiveSet, active_set_of
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.energy_balance import enclosed_volume, last_work, present_pressure
 from jaxform.sheet.state import PackedState, State
+from jaxform.tools.motion import tool_velocity
 
 
 class WindowTiming(NamedTuple):
@@ -126,9 +127,9 @@ def present_kinetic_energy(state: State, scene: Scene, discrete: Discretization)
     nodal = _present_force(packed, scene, active, present_pressure(state, scene, volume).pressure)
     nodes, before = (packed.nodes.stuck, active.mass, active.compliance), packed.nodes.velocities
     after, _ = update_velocity(nodal, before, nodes, length, scene.solver.damping)
-    if scene.motion is not None:
-        tool = scene.motion.frame(state.time, state.time + length).velocity
-        after, _, _ = apply_tool_velocity(nodal, (before, after), nodes, packed.nodes.wall, length, tool)
+    carrier = tool_velocity(scene.frames(state.time, state.time + length), packed.nodes.tool)
+    if carrier is not None:
+        after, _, _ = apply_tool_velocity(nodal, (before, after), nodes, packed.nodes.wall, length, carrier)
     return 0.5 * jnp.sum(jnp.where(active.packed.exists, active.mass * membrane.dot(before, after), 0.0))
 
 

@@ -43,9 +43,9 @@ def stick_folds(state: PackedState, scene: Scene, active: ActiveSet) -> PackedSt
         return state
     nodes, elements = jax.lax.stop_gradient((state.nodes, active.packed.elements))
     touch = _touching_nodes(nodes.positions, nodes.stuck, elements, jax.lax.stop_gradient(active.thickness))
-    if scene.motion is not None:
-        frame = scene.motion.frame(state.time, state.time + state.control.last_length)
-        touch &= jnp.all(frame.velocity == 0.0)
+    for frame in scene.frames(state.time, state.time + state.control.last_length):
+        if frame is not None:
+            touch &= jnp.all(frame.velocity == 0.0)
     touch, velocities = save_decision(touch), state.nodes.velocities
     kinetic = 0.5 * active.mass * dot(velocities, velocities)
     loss = state.account.contact_loss + jnp.sum(jnp.where(touch, kinetic, 0.0))

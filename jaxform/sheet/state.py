@@ -103,6 +103,7 @@ class EnergyBalance:
             None where neither happens.
         tool_work: Done by the mold on what it holds, up to the last force; None where it rests.
         tool_last: What the force of now adds to that, at the last window's end; None where it rests.
+        friction_loss: Taken by friction; None where nodes stick to all tools.
         rim: Volume that moving rims swept since the last step's begin [m^3]; None where there are none.
         gravity_work: Done by gravity on the nodes; None where none acts.
         pre_stretch_work: Strain energy of the pre-stretched sheet when the run begins; None where it has no stress.
@@ -125,6 +126,7 @@ class EnergyBalance:
     rim: jax.Array | None = None
     gravity_work: jax.Array | None = None
     pre_stretch_work: jax.Array | None = None
+    friction_loss: jax.Array | None = dataclasses.field(default=None, metadata=LOSS)
 
     def swept_volume(self, volume: jax.Array) -> jax.Array:
         """Volume swept by the sheet since the begin of the last step [m^3], with the present enclosed volume [m^3]."""
@@ -228,25 +230,34 @@ PackedState = NewType("PackedState", State)
 
 
 class InitialNodeState(NamedTuple):
-    """State of nodes (n,) at the begin of a run: stuck mask, contact time [s] and wall, as in `State`."""
+    """State of nodes (n,) at the begin of a run: stuck mask, contact time [s], wall and tool, as in `Nodes`."""
 
     stuck: jax.Array
     contact_time: jax.Array
     wall: jax.Array
+    tool: jax.Array | None = None
 
 
 def initial_node_state(scene: Scene, node: jax.Array | None = None) -> InitialNodeState:
     """Initial state of these nodes (n,), or of all: immobile nodes and nodes in contact with the mold are stuck."""
-    mobility, lying = scene.tables.mobility, scene.tables.initial_contact
+    mobility, lying, tool = scene.tables.mobility, scene.tables.initial_contact, scene.tables.initial_tool
     if node is not None:
         mobility, lying = mobility[:, node], None if lying is None else lying[node]
+        tool = None if tool is None else tool[node]
     held = jnp.all(mobility == 0.0, axis=0)
     time = jnp.where(held, 0.0, as_real(-1.0))
+    if len(scene.surfaces) > 1 and tool is None:
+        tool = jnp.zeros(held.size, jnp.int32)
     if lying is None:
-        return InitialNodeState(held, time, jnp.zeros(held.size, jnp.int32))
+        return InitialNodeState(held, time, jnp.zeros(held.size, jnp.int32), tool)
     lies = ~held & (lying != 0)
+    sticks = lies
+    for number, surface in enumerate(scene.surfaces):
+        if not surface.mold.contact.sticks:
+            sticks = sticks & ~(tool == number) if tool is not None else jnp.zeros_like(lies)
     # Sooner than any step, but later than what was clamped beforehand.
-    return InitialNodeState(held | lies, jnp.where(lies, jnp.finfo(time.dtype).tiny, time), jnp.where(lies, lying, 0))
+    first = jnp.where(lies, jnp.finfo(time.dtype).tiny, time)
+    return InitialNodeState(held | sticks, first, jnp.where(lies, lying, 0), tool)
 
 
 def noise_vector(positions: jax.Array) -> jax.Array:

@@ -91,6 +91,22 @@ class ToolFrame(NamedTuple):
         return x, y, z
 
 
+def tool_velocity(frames: tuple[ToolFrame | None, ...], tool: jax.Array | None) -> Any:
+    """Velocity of the tool that each node touches: three numbers where there is one tool, else three times (n,) [m/s].
+
+    None where no tool moves.
+    """
+    if all(frame is None for frame in frames):
+        return None
+    if tool is None:
+        return frames[0].velocity if frames[0] is not None else None
+    found = [jnp.zeros(tool.shape, frame.velocity.dtype) for frame in frames if frame is not None][:1] * 3
+    for number, frame in enumerate(frames):
+        if frame is not None:
+            found = [jnp.where(tool == number, frame.velocity[k], old) for k, old in enumerate(found)]
+    return found
+
+
 def make_motion(direction: ArrayLike, time: ArrayLike, displacement: ArrayLike) -> Motion:
     """A motion along a direction (3,), through knots (n_knot,): times [s], increasing, and displacements [m].
 

@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+
+from jaxform.mechanics.membrane import Vector, cross, dot, minus, vector
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid
 
 
 def signed_neighbors(triangles: NDArray[np.integer]) -> NDArray[np.int32]:
@@ -24,3 +32,186 @@ def signed_neighbors(triangles: NDArray[np.integer]) -> NDArray[np.int32]:
     found = np.zeros(3 * count, np.int32)
     found[one], found[other] = sign * (other // 3 + 1), sign * (one // 3 + 1)
     return found.reshape(count, 3)
+
+
+_MOST_SIDES = 8  # that a node crosses in a step, at most
+_OUT = 1e-12  # of a triangle's height: a node that is no further out is inside
+_STEEP = 1e-9  # sine: faces that are turned less are one plane
+_LEAST = 1e-12  # of a normal's square that symmetry planes leave
+
+
+class ContactSurface(NamedTuple):
+    """A tool that the sheet can touch: its search structure, and the neighbors of its triangles where nodes slide."""
+
+    mold: Mold
+    grid: SearchGrid
+    neighbors: jax.Array | None = None
+
+
+class Glide(NamedTuple):
+    """Nodes (n,) on a surface, in its frame.
+
+    Attributes:
+        position: Three times (n,) [m].
+        velocity: Along the surface, three times (n,) [m/s].
+        triangle: The triangle that they are on.
+        side: 1 on the side of its normal, -1 on the other.
+        left: The part of the step that is left (n,) [s].
+        off: Whether they have left the surface.
+        lost: Kinetic energy over mass that they lost in valleys [J/kg].
+    """
+
+    position: Vector
+    velocity: Vector
+    triangle: jax.Array
+    side: jax.Array
+    left: jax.Array
+    off: jax.Array
+    lost: jax.Array
+
+
+class Facets(NamedTuple):
+    """Triangles of nodes (n,): their corners, vectors along their normals, and unit normals on the nodes' side."""
+
+    corners: tuple[Vector, Vector, Vector]
+    area_vector: Vector
+    normal: Vector
+
+
+def facets(mold: Mold, triangle: jax.Array, side: jax.Array) -> Facets:
+    """The triangles (n,) of a tool, seen from one of their sides."""
+    first, second, third = (vector(mold.vertices[mold.triangles[triangle, k]].T) for k in range(3))
+    area_vector = cross(minus(second, first), minus(third, first))
+    size = jnp.sqrt(dot(area_vector, area_vector))
+    return Facets((first, second, third), area_vector, vector(side * x / size for x in area_vector))
+
+
+def project_on_plane(velocity: Vector, normal: Vector, mobile: Vector) -> Vector:
+    """Velocities within a plane (n,) and the nodes' symmetry planes; mobile is 1 where a component may change, else 0.
+
+    What is taken away is along the normal, but for what symmetry planes hold.
+    """
+    within = vector(c * w for c, w in zip(mobile, velocity, strict=True))
+    square = sum(c * n * n for c, n in zip(mobile, normal, strict=True))
+    free = square > _LEAST
+    share = jnp.where(free, dot(within, normal) / jnp.where(free, square, 1.0), 0.0)
+    return vector(jnp.where(free, w - share * c * n, 0.0) for w, c, n in zip(within, mobile, normal, strict=True))
+
+
+def move_along(
+    surface: ContactSurface,
+    start: Glide,
+    pressed: Vector,
+    mobile: Vector,
+    *,
+    differentiable: bool,
+) -> Glide:
+    """Moves nodes (n,) along a surface for the rest of a step, from triangle to triangle.
+
+    Over a ridge a node goes round with its speed where it is pressed onto the next face, else it flies straight on and
+    has left the surface, as beyond a rim. In a valley it loses the speed across the next face; where it cannot go up
+    that, it goes along the valley.
+
+    Args:
+        surface: The surface, with its neighbors.
+        start: The nodes.
+        pressed: A vector, three times (n,), in whose direction they are pressed.
+        mobile: 1 where a component of the velocity may change, else 0, three times (n,).
+        differentiable: Whether loops have a fixed number of passes.
+    """
+
+    def cross_sides(glide: Glide) -> Glide:
+        return _advance(surface, glide, pressed, mobile)
+
+    if differentiable:
+
+        def advance(glide: Glide, _: None) -> tuple[Glide, None]:
+            return jax.lax.cond(jnp.any(glide.left > 0.0), cross_sides, lambda glide: glide, glide), None
+
+        return jax.lax.scan(advance, start, length=_MOST_SIDES)[0]
+
+    def goes_on(carry: tuple[jax.Array, Glide]) -> jax.Array:
+        return (carry[0] < _MOST_SIDES) & jnp.any(carry[1].left > 0.0)
+
+    return jax.lax.while_loop(goes_on, lambda carry: (carry[0] + 1, cross_sides(carry[1])), (jnp.int32(0), start))[1]
+
+
+def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vector) -> Glide:
+    """The nodes at the first side that they come to, on the next triangle; or where they are at the end of the step."""
+    mold, neighbors = surface.mold, surface.neighbors
+    assert neighbors is not None
+    here = facets(mold, glide.triangle, glide.side)
+    way = vector(glide.left * w for w in glide.velocity)
+    corner, share = _first_side(glide.position, way, here)
+    leaves = share < 1.0
+    share = jnp.where(leaves, share, 1.0)
+    place = vector(x + share * d for x, d in zip(glide.position, way, strict=True))
+    left = jnp.where(leaves, (1.0 - share) * glide.left, 0.0)
+
+    number = neighbors.reshape(-1)[3 * glide.triangle + (corner + 1) % 3]
+    beyond, other_side = jnp.maximum(jnp.abs(number) - 1, 0), jnp.where(number < 0, -glide.side, glide.side)
+    there = facets(mold, beyond, other_side)
+    begin, end = (_select(here.corners, (corner + k) % 3) for k in (1, 2))
+    edge = minus(end, begin)
+    length = jnp.sqrt(dot(edge, edge))
+    edge = vector(x / length for x in edge)
+    inward = cross(there.normal, edge)
+    middle = vector((a + b + c) / 3.0 for a, b, c in zip(*there.corners, strict=True))
+    turned = jnp.where(dot(minus(middle, begin), inward) < 0.0, -1.0, 1.0)
+    inward = vector(turned * x for x in inward)
+
+    velocity = glide.velocity
+    along = dot(velocity, edge)
+    rest = minus(velocity, vector(along * x for x in edge))
+    square = dot(rest, rest)
+    across = jnp.sqrt(jnp.where(square > 0.0, square, 1.0))
+    rise = dot(velocity, there.normal)
+    ridge = rise > _STEEP * across
+    flies = leaves & ((number == 0) | ridge & (dot(pressed, there.normal) > 0.0))
+    crosses = leaves & ~flies
+
+    round_it = vector(along * e + across * m for e, m in zip(edge, inward, strict=True))
+    up_it = project_on_plane(velocity, there.normal, mobile)
+    stays = ~ridge & (dot(up_it, inward) <= 0.0)  # in the valley
+    within = vector(along * e for e in edge)
+    new = vector(jnp.where(ridge, r, jnp.where(stays, w, u)) for r, w, u in zip(round_it, within, up_it, strict=True))
+    target = vector(jnp.where(stays, a, b) for a, b in zip(here.normal, there.normal, strict=True))
+    new = project_on_plane(new, target, mobile)
+    lost = jnp.where(crosses & ~ridge, 0.5 * (dot(velocity, velocity) - dot(new, new)), 0.0)
+    onward = vector(x + left * w for x, w in zip(place, velocity, strict=True))
+    moves_over = crosses & ~stays
+    return Glide(
+        position=vector(jnp.where(flies, o, x) for o, x in zip(onward, place, strict=True)),
+        velocity=vector(jnp.where(crosses, n, w) for n, w in zip(new, velocity, strict=True)),
+        triangle=jnp.where(moves_over, beyond, glide.triangle),
+        side=jnp.where(moves_over, other_side, glide.side),
+        left=jnp.where(flies | glide.off, 0.0, left),
+        off=glide.off | flies,
+        lost=glide.lost + lost,
+    )
+
+
+def _first_side(position: Vector, way: Vector, here: Facets) -> tuple[jax.Array, jax.Array]:
+    """The corner (n,) opposite to the side that a way leaves a triangle through, and at which share of it; else inf."""
+    first, second, third = here.corners
+    square = dot(here.area_vector, here.area_vector)
+    away, edge1, edge2 = minus(position, first), minus(second, first), minus(third, first)
+    duals = cross(edge2, here.area_vector), cross(here.area_vector, edge1)
+    gamma, delta = (dot(away, dual) / square for dual in duals)
+    gamma_rate, delta_rate = (dot(way, dual) / square for dual in duals)
+    shares, rates = (1.0 - gamma - delta, gamma, delta), (-gamma_rate - delta_rate, gamma_rate, delta_rate)
+
+    def reach(share: jax.Array, rate: jax.Array) -> jax.Array:
+        goes_out = (share + rate < -_OUT) & (rate < 0.0)
+        return jnp.where(goes_out, jnp.maximum(share, 0.0) / jnp.where(goes_out, -rate, 1.0), jnp.inf)
+
+    reached = [reach(*each) for each in zip(shares, rates, strict=True)]
+    least = jnp.minimum(jnp.minimum(reached[0], reached[1]), reached[2])
+    corner = jnp.where(reached[0] == least, 0, jnp.where(reached[1] == least, 1, 2))
+    return corner, least
+
+
+def _select(corners: tuple[Vector, Vector, Vector], number: jax.Array) -> Vector:
+    """The corner of this number (n,)."""
+    triples = zip(*corners, strict=True)
+    return vector(jnp.where(number == 0, a, jnp.where(number == 1, b, c)) for a, b, c in triples)

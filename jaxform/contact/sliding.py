@@ -1,0 +1,244 @@
+"""Contact without sticking: nodes that lie on a tool, slide by its contact law, and leave it where it would pull."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.mechanics.membrane import Vector, dot, minus, plus, vector
+from jaxform.tools.motion import ToolFrame
+from jaxform.tools.search import touch_distance
+from jaxform.tools.surface_walk import ContactSurface, Glide, facets, move_along, project_on_plane
+
+_CLEAR = 4.0  # times the distance at which a node touches: where one that leaves a surface begins
+
+
+class LyingNodes(NamedTuple):
+    """Nodes (n,) before a step of which some lie on tools, and the step as if nothing touched them.
+
+    Attributes:
+        positions, velocities: Before the step, three times (n,) [m], [m/s].
+        free: Velocities after it without contact, three times (n,) [m/s].
+        nodal: Forces without contact, three times (n,) [N].
+        mass: [kg].
+        mobile: 1 where a component may change, else 0, three times (n,).
+        wall, tool: What they lie on, as in `Nodes`.
+        lies: Which of them lie on a tool and do not stick to it.
+    """
+
+    positions: Vector
+    velocities: Vector
+    free: Vector
+    nodal: Vector
+    mass: jax.Array
+    mobile: Vector
+    wall: jax.Array
+    tool: jax.Array | None
+    lies: jax.Array
+
+
+class ContactLosses(NamedTuple):
+    """Energies of nodes (n,) in a step [J]: work of the tool, and losses by friction, impact and damping."""
+
+    work: Any = 0.0
+    friction: Any = 0.0
+    impact: Any = 0.0
+    damping: Any = 0.0
+
+
+class Slid(NamedTuple):
+    """The nodes (n,) after the step: positions [m], velocities [m/s], `wall`, whether they left, and the losses."""
+
+    positions: Vector
+    velocities: Vector
+    wall: jax.Array
+    left: jax.Array
+    losses: ContactLosses
+
+
+def lying_nodes(stuck: jax.Array, wall: jax.Array) -> jax.Array:
+    """Nodes (n,) that lie on a tool without sticking to it."""
+    return ~stuck & (wall != 0)
+
+
+def on_surface(tool: jax.Array | None, number: int) -> jax.Array | bool:
+    """Nodes (n,) that touch the surface of this number, if they touch any; `tool` is None where there is one only."""
+    return True if tool is None else tool == number
+
+
+def slide_nodes(
+    nodes: LyingNodes,
+    steps: tuple[jax.Array, jax.Array],
+    surfaces: tuple[ContactSurface, ...],
+    frames: tuple[ToolFrame | None, ...],
+    damping: jax.Array | None,
+    *,
+    differentiable: bool,
+) -> Slid:
+    """Takes the nodes that lie on a tool over a step; the others are as they would be without contact.
+
+    The tool pushes a node with what keeps it from moving into the tool; where it would have to pull, the node leaves.
+    By the push the contact law limits the slip, and with that the node moves along the surface.
+
+    Args:
+        nodes: The nodes.
+        steps: The step that the velocity takes, and the step [s].
+        surfaces: The surfaces, in the order of `Scene.surfaces`.
+        frames: Their frames in the step; None of those at rest.
+        damping: Mass-proportional damping [1/s].
+        differentiable: Whether loops have a fixed number of passes.
+    """
+    moved = vector(x + steps[1] * v for x, v in zip(nodes.positions, nodes.free, strict=True))
+    none = jnp.zeros_like(nodes.mass)
+    found = Slid(moved, nodes.free, nodes.wall, jnp.zeros_like(nodes.lies), ContactLosses(none, none, none, none))
+    for number, (surface, frame) in enumerate(zip(surfaces, frames, strict=True)):
+        if surface.mold.contact.sticks:
+            continue
+        here = nodes.lies & on_surface(nodes.tool, number)
+        own = _slide_on(nodes, here, steps, surface, frame, damping, differentiable=differentiable)
+        found = jax.tree.map(lambda new, old, here=here: jnp.where(here, new, old), own, found)
+    return found
+
+
+def _slide_on(
+    nodes: LyingNodes,
+    here: jax.Array,
+    steps: tuple[jax.Array, jax.Array],
+    surface: ContactSurface,
+    frame: ToolFrame | None,
+    damping: jax.Array | None,
+    *,
+    differentiable: bool,
+) -> Slid:
+    """The nodes after the step, of which those that are `here` (n,) lie on this surface."""
+    kick, length = steps
+    carrier = vector(jnp.zeros_like(nodes.mass) + (0.0 if frame is None else frame.velocity[k]) for k in range(3))
+    offset = vector(
+        (0.0 * c if frame is None else frame.offset[k] - length * c) for k, c in enumerate(carrier)
+    )  # when the step begins
+    triangle, side = jnp.where(here, jnp.abs(nodes.wall) - 1, 0), jnp.where(nodes.wall < 0, -1, 1)
+    normal = facets(surface.mold, triangle, side).normal
+    trial = minus(nodes.free, carrier)
+    outward = dot(trial, normal)
+    leaves = outward > 0.0
+    slip = project_on_plane(trial, normal, nodes.mobile)
+    given = minus(trial, slip)  # what the tool takes away, along the normal
+    push = jnp.where(leaves, 0.0, -dot(given, normal))
+    slip = surface.mold.contact.limit_slip(slip, push)
+    # In which direction the nodes are pressed: of the change of the velocity relative to the tool.
+    held = dot(minus(nodes.velocities, carrier), normal)
+    pressed = plus(minus(nodes.free, nodes.velocities), vector(held * n for n in normal))
+    start = Glide(
+        position=minus(nodes.positions, offset),
+        velocity=slip,
+        triangle=triangle,
+        side=side,
+        left=jnp.where(here & ~leaves, length, 0.0),
+        off=jnp.zeros_like(here),
+        lost=jnp.zeros_like(nodes.mass),
+    )
+    end = move_along(surface, start, pressed, nodes.mobile, differentiable=differentiable)
+    last = facets(surface.mold, end.triangle, end.side)
+    height = dot(minus(end.position, last.corners[0]), last.normal)
+    place = minus(end.position, _within_planes(height, last.normal, nodes.mobile))
+    there = plus(place, vector(o + length * c for o, c in zip(offset, carrier, strict=True)))
+    # What leaves begins a little off the surface: there it is on one side for sure.
+    gap = _CLEAR * touch_distance(surface.grid)
+    away = _within_planes(gap, normal, nodes.mobile)
+    flown = vector(x + a + length * v for x, a, v in zip(nodes.positions, away, nodes.free, strict=True))
+    thrown = vector(x + gap * n for x, n in zip(there_off(end, offset, carrier, length), normal, strict=True))
+    left = leaves | end.off
+    positions = vector(
+        jnp.where(leaves, f, jnp.where(end.off, t, x)) for f, t, x in zip(flown, thrown, there, strict=True)
+    )
+    on_tool = vector(jnp.where(leaves, f, w + c) for f, w, c in zip(nodes.free, slip, carrier, strict=True))
+    velocities = vector(jnp.where(leaves, f, w + c) for f, w, c in zip(nodes.free, end.velocity, carrier, strict=True))
+    losses = _losses(nodes, on_tool, carrier, kick, damping)
+    return Slid(
+        positions,
+        velocities,
+        jnp.where(left, 0, end.side * (end.triangle + 1)),
+        left,
+        losses._replace(impact=nodes.mass * end.lost),
+    )
+
+
+def there_off(end: Glide, offset: Vector, carrier: Vector, length: jax.Array) -> Vector:
+    """Where nodes are that flew off a surface, in the frame of the sheet, three times (n,) [m]."""
+    return vector(x + o + length * c for x, o, c in zip(end.position, offset, carrier, strict=True))
+
+
+def _within_planes(far: jax.Array, normal: Vector, mobile: Vector) -> Vector:
+    """A displacement by so much along a normal that leaves nodes on their symmetry planes, three times (n,) [m]."""
+    square = sum(c * n * n for c, n in zip(mobile, normal, strict=True))
+    scale = jnp.where(square > 0.0, far / jnp.where(square > 0.0, square, 1.0), 0.0)
+    return vector(scale * c * n for c, n in zip(mobile, normal, strict=True))
+
+
+def _losses(
+    nodes: LyingNodes, velocities: Vector, carrier: Vector, kick: jax.Array, damping: jax.Array | None
+) -> ContactLosses:
+    """Work and losses (n,) [J] of a kick after which the nodes have these velocities."""
+    mean = vector(0.5 * (new + old) for new, old in zip(velocities, nodes.velocities, strict=True))
+    rate = 0.0 if damping is None else damping
+    quads = zip(velocities, nodes.velocities, nodes.nodal, mean, nodes.mobile, strict=True)
+    impulse = vector(
+        c * (nodes.mass * (new - old) - kick * f + kick * rate * nodes.mass * v) for new, old, f, v, c in quads
+    )
+    return ContactLosses(
+        work=dot(impulse, carrier),
+        friction=dot(impulse, minus(carrier, mean)),
+        impact=jnp.zeros_like(nodes.mass),
+        damping=kick * rate * nodes.mass * dot(mean, mean),
+    )
+
+
+class Landed(NamedTuple):
+    """Nodes (n,) that land on a surface in its frame: positions [m], velocities [m/s], `wall`, loss by mass [J/kg]."""
+
+    positions: Vector
+    velocities: Vector
+    wall: jax.Array
+    lost: jax.Array
+
+
+def land_and_slide(
+    surface: ContactSurface,
+    point: Vector,
+    velocities: Vector,
+    wall: jax.Array,
+    left: jax.Array,
+    mobile: Vector,
+    *,
+    differentiable: bool,
+) -> Landed:
+    """Nodes (n,) that come to a point of a surface lose their speed into it, and slide on by its contact law.
+
+    Args:
+        surface: The surface.
+        point: Where they touch it, three times (n,) [m].
+        velocities: With which they do, relative to it, three times (n,) [m/s].
+        wall: On which triangle and side, as in `Nodes`.
+        left: What is left of the step [s]; 0 for nodes that do not land.
+        mobile: 1 where a component may change, else 0, three times (n,).
+        differentiable: Whether loops have a fixed number of passes.
+    """
+    triangle, side = jnp.maximum(jnp.abs(wall) - 1, 0), jnp.where(wall < 0, -1, 1)
+    normal = facets(surface.mold, triangle, side).normal
+    slip = project_on_plane(velocities, normal, mobile)
+    push = jnp.maximum(-dot(minus(velocities, slip), normal), 0.0)
+    slip = surface.mold.contact.limit_slip(slip, push)
+    none = jnp.zeros_like(left)
+    start = Glide(point, slip, triangle, side, left, none > 0.0, none)
+    end = move_along(surface, start, minus(velocities, slip), mobile, differentiable=differentiable)
+    # It leaves no surface in the step in which it comes to it.
+    last = facets(surface.mold, end.triangle, end.side)
+    off = end.off
+    height = dot(minus(end.position, last.corners[0]), last.normal)
+    place = minus(end.position, _within_planes(height, last.normal, mobile))
+    place = vector(jnp.where(off, p, x) for p, x in zip(point, place, strict=True))
+    new = vector(jnp.where(off, s, v) for s, v in zip(slip, end.velocity, strict=True))
+    wall = jnp.where(off, wall, end.side * (end.triangle + 1))
+    return Landed(place, new, wall, 0.5 * (dot(velocities, velocities) - dot(new, new)))
