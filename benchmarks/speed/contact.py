@@ -25,10 +25,11 @@ from jaxform.contact import broad_phase, candidates, sticking
 from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Nodes
-from jaxform.model.scene import Scene, Tool
+from jaxform.model.scene import Scene
 from jaxform.results.summary import measure_penetration
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
+from jaxform.tools.surface_walk import ContactSurface
 
 BATCH = 128  # paths that are looked at together: few, so that all their pairs find room
 
@@ -97,18 +98,20 @@ def walk(
     begin, end = (jnp.pad(place, ((0, 0), (0, -count % BLOCK))) for place in (begin, end))
     stuck, way, once = jnp.arange(begin.shape[1]) >= count, end - begin, jnp.asarray(1.0)
     window = candidates.list_candidates(begin, way, ~stuck, once / 16, jnp.int32(16), grid)
-    due = broad_phase.find_active_pairs(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
+    due = broad_phase.find_active_pairs(end, stuck, stuck, window, jnp.int32(stuck.size // BLOCK)).due
     none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
     nodes = Nodes(membrane.unstack_rows(end), way, stuck, -mass, none, None, {})
     flying = sticking.Landing(nodes, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
     now = sticking.ContactStep(once, once, jnp.int32(0))
     room = sticking.no_hits(stuck.size, end.dtype)
-    landed, _ = sticking.apply_contact(flying, now, due, mass, window, Tool(wall, grid), room)
+    landed, _ = sticking.apply_contact(flying, now, [due], (mass, None), [window], (ContactSurface(wall, grid),), room)
     nodes = dataclasses.replace(landed.nodes, positions=jnp.asarray(landed.nodes.positions))
     landed = landed._replace(nodes=nodes)
     if differentiable:
         flying = flying._replace(nodes=dataclasses.replace(flying.nodes, positions=end))
-        landed = sticking.apply_known_contact(flying, now, jnp.abs(landed.nodes.wall) - 1, mass, wall)
+        landed = sticking.apply_known_contact(
+            flying, now, jnp.abs(landed.nodes.wall) - 1, (mass, None), (ContactSurface(wall, grid),)
+        )
     well = ~(
         window.overflow
         | jnp.any(

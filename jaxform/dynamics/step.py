@@ -354,7 +354,7 @@ def _slide_in_blocks(
     def work(old: Any, table: Any, stuck: Any, wall: Any, nodes: Any) -> Any:
         lies = lying_nodes(stuck, wall)
         none = [jnp.zeros_like(nodes[0])] * 4
-        state = jax.lax.optimization_barrier((old, table, lies, (stuck, *nodes)))
+        state = materialize((old, table, lies, (stuck, *nodes)))
         return jax.lax.cond(jnp.any(lies), slide, lambda old, *_: (old, none), *state)
 
     inputs = gather_table(elements), own.stuck, own.wall, (now.active.mass, now.active.compliance, own.tool)

@@ -17,7 +17,6 @@ from jaxform.contact import broad_phase, candidates, lists
 from jaxform.dynamics import contact_step
 from jaxform.dynamics import window as windows
 from jaxform.kernels.blocks import BLOCK
-from jaxform.model.scene import Tool
 from jaxform.prepare import scene_builder
 from jaxform.results.summary import measure_penetration
 from jaxform.runs import loop
@@ -26,6 +25,7 @@ from jaxform.tools import search
 from jaxform.tools.mold import Mold
 from jaxform.tools.penetration import penetration, point_triangle_distance
 from jaxform.tools.search import CLASSES, FarCells, SearchGrid, build_grid, cell_of
+from jaxform.tools.surface_walk import ContactSurface
 from tests import scenes
 
 
@@ -267,7 +267,7 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
     monkeypatch.setattr(
         contact_step,
         "find_active_pairs",
-        lambda *args: broad_phase.find_active_pairs(*args)._replace(due=broad_phase.all_blocks(args[2])),
+        lambda *args: broad_phase.find_active_pairs(*args)._replace(due=broad_phase.all_blocks(args[3])),
     )
     monkeypatch.setattr(
         contact_step, "check_nodes", lambda *args: broad_phase.check_nodes(*args)._replace(close=jnp.asarray(True))
@@ -302,7 +302,7 @@ def test_what_touches_between_two_looks_unseen_is_retried() -> None:
     np.testing.assert_allclose(blind.thickness, seen.thickness, rtol=2e-2)
 
 
-def _list_nodes(tool: Tool) -> lists.Candidates:
+def _list_nodes(tool: ContactSurface) -> lists.Candidates:
     """A list of nodes near the mold, on random paths."""
     begin, end = (
         jnp.asarray(place.T[:, :BLOCK]) for place in figures.random_paths(tool.mold, tool.grid, BLOCK, seed=2)
@@ -315,14 +315,14 @@ def test_where_pairs_find_no_room_lists_are_shorter_and_nothing_is_missed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scene = scenes.cup()
-    assert scene.tool is not None
-    roomy, wide = jaxform.run(scene), _list_nodes(scene.tool)
+    (surface,) = scene.surfaces
+    roomy, wide = jaxform.run(scene), _list_nodes(surface)
     # Room for 128 pairs, of a scene that is traced as it is: `run` would give it more.
     monkeypatch.setattr(lists, "_LEAST_ROOM", 128)
     narrow = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, pairs_per_node=1))
     monkeypatch.setattr(lists, "PAIRS_PER_NODE", 1)
     monkeypatch.setattr(lists, "_CANDIDATES", 1)
-    tight, slim = jax.jit(jaxform.simulate)(narrow), _list_nodes(scene.tool)
+    tight, slim = jax.jit(jaxform.simulate)(narrow), _list_nodes(surface)
     assert int(wide.count) > slim.lists.node.size - lists.TEST_BLOCK and not (wide.overflow or slim.overflow)
     assert np.all(slim.limit_square < wide.limit_square)  # so that nodes leave their spheres sooner
     assert jaxform.explain(tight) == "ok"
