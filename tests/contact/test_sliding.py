@@ -1,0 +1,300 @@
+"""Nodes that slide on tools: friction, release, several tools at once, against exact solutions."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import molds, shapes
+from jaxform.contact.sliding import LyingNodes, slide_nodes
+from jaxform.core.pytree import as_real
+from jaxform.mechanics.membrane import dot, minus, vector
+from jaxform.tools.search import build_grid
+from jaxform.tools.surface_walk import ContactSurface, Glide, facets, move_along, signed_neighbors
+
+
+def _vectors(rows: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    x, y, z = (jnp.asarray(row) for row in np.asarray(rows, float).T)
+    return x, y, z
+
+
+_ONES = jnp.ones(1), jnp.ones(1), jnp.ones(1)  # nothing is held on a symmetry plane
+
+
+def _surface(vertices: np.ndarray, triangles: np.ndarray, law: jaxform.ContactLaw) -> ContactSurface:
+    tool = jaxform.make_mold(vertices, triangles, contact=law)
+    neighbors = jnp.asarray(signed_neighbors(np.asarray(tool.triangles)))
+    return ContactSurface(tool, build_grid(np.asarray(vertices, float), np.asarray(triangles), 0.1), neighbors)
+
+
+def _square(height: float = 0.0, half: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float) * half
+    return corners + np.array([0.0, 0.0, height]), np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def test_neighbors_of_triangles_that_turn_either_way() -> None:
+    # The second turns like the first, the third does not.
+    triangles = np.array([[0, 1, 2], [2, 1, 3], [0, 1, 4]])
+    np.testing.assert_array_equal(signed_neighbors(triangles), [[-3, 2, 0], [1, 0, 0], [-1, 0, 0]])
+    three = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
+    assert not signed_neighbors(three).any()
+
+
+def test_a_node_goes_round_a_cylinder_with_its_speed_and_stays_on_it() -> None:
+    angle = np.linspace(0.0, np.pi, 61)
+    ring = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], 1)
+    vertices = np.concatenate([ring - [0, 1, 0], ring + np.array([0, 1, 0])])
+    low = np.arange(60)
+    triangles = np.concatenate([np.stack([low, low + 1, low + 62], 1), np.stack([low, low + 62, low + 61], 1)])
+    triangles[::3] = triangles[::3, ::-1]  # some turn the other way
+    surface = _surface(vertices, triangles, jaxform.Slide())
+    first, second, third = vertices[triangles[0]]
+    normal = np.cross(second - first, third - first)
+    outside = 1 if normal @ vertices[triangles[0]].mean(0) > 0 else -1
+    start = vertices[triangles[0]].mean(0)
+    along = vertices[1] - vertices[0]
+    speed = 0.3 * along / np.linalg.norm(along) + [0.0, 0.02, 0.0]
+    glide = Glide(
+        _vectors(start[None]), _vectors(speed[None]), jnp.array([0]), jnp.array([outside]),
+        jnp.array([0.0]), jnp.array([False]), jnp.array([0.0]),
+    )  # fmt: skip
+    path = 0.0
+    for _ in range(20):
+        here = facets(surface.mold, glide.triangle, glide.side)
+        inwards = vector(-x for x in here.normal)
+        before = np.ravel(glide.position)
+        glide = move_along(surface, glide._replace(left=jnp.array([0.35])), inwards, _ONES, differentiable=False)
+        path += np.linalg.norm(np.ravel(glide.position) - before)
+        last = facets(surface.mold, glide.triangle, glide.side)
+        away = dot(last.normal, minus(glide.position, last.corners[0]))
+        assert abs(float(away[0])) < 1e-14 and not bool(glide.off[0])
+        outward = dot(last.normal, last.corners[0])
+        assert float(outward[0]) > 0.9  # still outside
+    assert np.linalg.norm(np.ravel(glide.velocity)) == pytest.approx(np.hypot(0.3, 0.02), rel=1e-12)
+    assert float(glide.velocity[1][0]) == pytest.approx(0.02, rel=1e-12)
+    assert path == pytest.approx(20 * 0.35 * np.hypot(0.3, 0.02), rel=1e-3) and float(glide.lost[0]) == 0.0
+
+
+def test_in_a_corner_a_node_stops_and_over_an_edge_without_push_it_leaves() -> None:
+    floor, wall = [[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]], [[1, 0, 1], [1, 2, 1]]
+    vertices = np.array(floor + wall, float)
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
+    surface = _surface(vertices, triangles, jaxform.Slide())
+    glide = Glide(
+        _vectors([[0.8, 1.0, 0.0], [0.2, 1.0, 0.0]]), _vectors([[1.0, 0.5, 0.0], [-1.0, 0.5, 0.0]]), jnp.array([0, 1]),
+        jnp.array([1, 1]), jnp.array([0.4, 0.4]), jnp.zeros(2, bool), jnp.zeros(2),
+    )  # fmt: skip
+    down = (jnp.zeros(2), jnp.zeros(2), -jnp.ones(2))
+    end = move_along(surface, glide, down, _ONES, differentiable=False)
+    # The first comes to the wall, loses what goes into it, and goes on along it; the second flies over the rim.
+    np.testing.assert_allclose(np.stack(end.position)[:, 0], [1.0, 1.2, 0.0], atol=1e-14)
+    np.testing.assert_allclose(np.stack(end.velocity)[:, 0], [0.0, 0.5, 0.0], atol=1e-14)
+    assert float(end.lost[0]) == pytest.approx(0.5)
+    np.testing.assert_allclose(np.stack(end.position)[:, 1], [-0.2, 1.2, 0.0], atol=1e-14)
+    np.testing.assert_array_equal(end.off, [False, True])
+
+
+def test_below_the_cone_nothing_moves_and_beyond_it_all_of_the_excess_does() -> None:
+    surface = _surface(*_square(), jaxform.make_contact_law("coulomb", 0.3))
+    mass, kick = 2.0, 1e-5
+    push, pull = 5.0, jnp.array([1.499999, 1.500001, -1.6])
+
+    def advance(carry: tuple, _: None) -> tuple[tuple, jax.Array]:
+        positions, velocities, friction = carry
+        nodal = (pull, jnp.zeros(3), jnp.full(3, -push))
+        free = vector(v + kick * f / mass for v, f in zip(velocities, nodal, strict=True))
+        nodes = LyingNodes(
+            positions, velocities, free, nodal, jnp.full(3, mass), _ONES,
+            jnp.full(3, 1), None, jnp.ones(3, bool),
+        )  # fmt: skip
+        slid = slide_nodes(
+            nodes, (jnp.asarray(kick), jnp.asarray(kick)), (surface,), (None,), None, differentiable=False
+        )
+        return (slid.positions, slid.velocities, friction + slid.losses.friction), slid.left
+
+    start = _vectors([[0.1, 0.2, 0.0]] * 3)
+    (positions, velocities, friction), left = jax.jit(
+        lambda: jax.lax.scan(advance, (start, (jnp.zeros(3),) * 3, jnp.zeros(3)), length=100_000)
+    )()
+    assert not np.any(left)
+    assert float(positions[0][0]) == 0.1 and np.all(np.asarray(positions[2]) == 0.0)  # not by a rounding
+    time = 100_000 * kick
+    np.testing.assert_allclose(velocities[0][1:], np.array([1e-6, -0.1]) / mass * time, rtol=1e-6)
+    way = np.asarray(positions[0] - start[0])
+    np.testing.assert_allclose(friction[1:], 0.3 * push * np.abs(way[1:]), rtol=1e-4)
+
+
+def _blown_on_plate(friction: float) -> jaxform.Scene:
+    sheet = shapes.disc(radius=1.0, elements=150, symmetry="quarter")
+    thin = 0.01
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, thin, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0, 48.0], [0.0, 4.0 * thin]),
+        solver=jaxform.make_solver(end_time=60.0, damping=1.0),
+        mold=jaxform.make_mold(*_square(0.5), contact=jaxform.make_contact_law("coulomb", friction)),
+        fill=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("friction", "walls"),
+    # shared reference: exact thickness at initial radii 0.05, 0.2, 0.5 and 0.9
+    [(0.0, [0.631376, 0.631376, 0.636591, 0.746505]), (5.0, [0.7243, 0.6919, 0.6354, 0.7433])],
+)
+def test_disc_blown_against_a_plate(friction: float, walls: list[float]) -> None:
+    scene = _blown_on_plate(friction)
+    result = jaxform.run(scene)
+    assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 1e-4
+    radius = np.linalg.norm(np.asarray(scene.parison.positions)[np.asarray(result.triangles)].mean(1), axis=1)
+    thin = np.asarray(result.element_thickness) / 0.01
+    found = [np.polyval(np.polyfit(radius[near] - at, thin[near], 2), 0.0)
+             for at in (0.05, 0.2, 0.5, 0.9) for near in [np.abs(radius - at) < 0.12]]  # fmt: skip
+    np.testing.assert_allclose(found, walls, rtol=0.01)
+    height = np.asarray(result.positions)[:, 2]
+    assert height.max() == 0.5 and np.sum(height == 0.5) >= np.sum(np.asarray(result.tool) == 0) > 10
+    dissipated = float(result.energy.friction_loss)
+    assert dissipated < 1e-6 * float(result.energy.external_work)
+
+
+def _cylinder(turn: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    each = turn / parts
+    angle, radius = (np.arange(-2, parts + 4) - 0.5) * each, 1 / np.cos(each / 2)
+    ring = radius * np.stack([np.sin(angle), 0 * angle, np.cos(angle)], 1)
+    count, low = len(angle), np.arange(len(angle) - 1)
+    triangles = np.concatenate(
+        [np.stack([low, low + 1, count + low + 1], 1), np.stack([low, count + low + 1, count + low], 1)]
+    )
+    return np.concatenate([ring - [0, 1, 0], ring + np.array([0, 1, 0])]), triangles
+
+
+def _strip_over_cylinder(friction: float, turn: float, parts: int) -> jaxform.Scene:
+    """A strip, clamped at one end and drawn over a cylinder by a jaw that sticks to the other one."""
+    each, lead = turn / parts, 10
+    step, angle = 2 * np.tan(each / 2), np.arange(parts + 1) * each
+    arc = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], 1)
+    away = np.arange(1, lead + 1)[:, None] * step
+    tangent = np.array([np.cos(turn), 0.0, -np.sin(turn)])
+    line = np.concatenate([(arc[0] - away * [1.0, 0.0, 0.0])[::-1], arc, arc[-1] + away * tangent])
+    count, low = len(line), np.arange(len(line) - 1)
+    places = np.concatenate([line - [0, step / 2, 0], line + np.array([0, step / 2, 0])])
+    triangles = np.concatenate(
+        [np.stack([low, count + low + 1, low + 1], 1), np.stack([low, count + low, count + low + 1], 1)]
+    )
+    clamped, fixed = np.zeros(2 * count, bool), np.zeros((2 * count, 3), bool)
+    clamped[[0, count]], fixed[:, 1] = True, True
+    across, end = np.array([0.0, 1.0, 0.0]), line[-1]
+    jaw = np.array([end + k * step * tangent + s * across for k, s in ((-0.4, -1), (3, -1), (3, 1), (-0.4, 1))])
+    rest, law = 60.0, jaxform.make_contact_law("coulomb", friction)
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(places, triangles, 0.01, clamped, fixed),
+        material=jaxform.NeoHookean(as_real(1.0), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
+        solver=jaxform.make_solver(end_time=rest, damping=2.0),
+        tools=[
+            jaxform.make_mold(*_cylinder(turn, parts), contact=law, name="cylinder"),
+            jaxform.make_mold(
+                jaw, np.array([[0, 1, 2], [0, 2, 3]]), name="jaw",
+                motion=jaxform.make_motion(tangent, [0.0, rest], [0.0, 1.0]),
+            ),
+        ],
+        fill=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("friction", "degrees"), [(0.1, 45), (0.3, 90), (1.0, 90), (0.3, 180)])
+def test_capstan(friction: float, degrees: float) -> None:
+    scene = _strip_over_cylinder(friction, np.radians(degrees), 46)
+    result = jaxform.run(scene)
+    assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 5e-3
+    stretch, count = np.asarray(result.stretches)[:, 0], len(scene.parison.positions) // 2
+    tension = 2 * (stretch - stretch**-3.0)  # per c h0, as wide as before
+    ratio = tension[[count - 3, 2 * count - 4]].mean() / tension[[1, count]].mean()
+    assert ratio == pytest.approx(np.exp(friction * np.radians(degrees)), rel=0.01)
+    assert 0.0 < float(result.energy.friction_loss) < float(result.energy.tool_work)
+
+
+def _plug(law: jaxform.ContactLaw | None, depth: float, radius: float = 0.3) -> jaxform.Mold:
+    reach = radius / np.cos(np.pi / 96) * (1 + 1e-9)  # round the circle
+    made = molds.revolved(profile=[[0.0, 0.0], [reach, 0.0], [reach, -1.5]], segments=96)
+    motion = jaxform.make_motion([0, 0, 1], [0.0, 10.0], [0.0, depth])
+    return jaxform.make_mold(made.vertices, made.triangles, contact=law, motion=motion, name="plug")
+
+
+def _pushed(law: jaxform.ContactLaw | None, depth: float, elements: int = 600, pressure: float = 0.0) -> jaxform.Scene:
+    sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
+    thin, rest = 0.01, 10.0 + (6.0 if pressure else 0.0)
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, thin, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0, 10.0, 16.0], [0.0, 0.0, pressure * thin]),
+        solver=jaxform.make_solver(end_time=rest, damping=2.0),
+        tools=[_plug(law, depth)],
+        fill=False,
+    )
+
+
+def test_disc_pushed_by_a_flat_plug_to_which_it_sticks() -> None:
+    scene = _pushed(None, 0.6, elements=610)
+    result = jaxform.run(scene)
+    assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 1e-4
+    places = np.asarray(scene.parison.positions)[np.asarray(result.triangles)]
+    radius, thin = np.linalg.norm(places.mean(1), axis=1), np.asarray(result.element_thickness) / 0.01
+    found = [np.polyval(np.polyfit(radius[near] - at, thin[near], 2), 0.0)
+             for at in (0.6, 0.8) for near in [np.abs(radius - at) < 0.08]]  # fmt: skip
+    np.testing.assert_allclose(found, [0.76903661, 0.80682643], rtol=0.003)  # shared reference
+    rim = np.linalg.norm(np.asarray(scene.parison.positions), axis=1) > 1 - 1e-9
+    assert np.asarray(result.thickness)[rim].mean() / 0.01 == pytest.approx(0.82946625, rel=0.003)
+    np.testing.assert_allclose(thin[np.linalg.norm(places, axis=2).max(1) < 0.3 + 1e-9], 1.0, rtol=1e-12)
+    assert float(np.asarray(result.positions)[:, 2].max()) == pytest.approx(0.6, abs=1e-9)
+
+
+def test_gradient_through_stick_slip_and_release_is_that_of_differences() -> None:
+    scene = _pushed(jaxform.make_contact_law("coulomb", 0.2), 0.6, elements=100, pressure=2.0)
+    way, time = (np.asarray(getattr(scene.tools[0].motion, name)) for name in ("displacement", "time"))
+    whole = jaxform.run(scene)
+    traced = jaxform.simulate(scene)
+    np.testing.assert_allclose(traced.positions, whole.positions, atol=1e-12)
+    np.testing.assert_array_equal(traced.tool, whole.tool)
+
+    def objective(design: jax.Array) -> jax.Array:
+        changes = {
+            "tools.plug.motion.displacement": way * design[0],
+            "tools.plug.contact.friction": design[1],
+            "tools.plug.motion.time": time * design[2],
+        }
+        result = jaxform.simulate(jaxform.replace(scene, changes), schedule=traced.schedule)
+        return 100.0 * (result.thickness[0] + jnp.sum(result.thickness**2))
+
+    first, step = jnp.array([1.0, 0.2, 1.0]), 1e-5
+    value = jax.jit(objective)
+    found = jax.jit(jax.grad(objective))(first)
+    ends = [[float(value(first.at[k].add(sign * step))) for sign in (1, -1)] for k in range(3)]
+    differences = [(up - down) / (2 * step) for up, down in ends]
+    np.testing.assert_allclose(found, differences, rtol=1e-5)
+
+
+def test_names_of_tools_and_numbers_of_their_laws() -> None:
+    scene = _pushed(jaxform.make_contact_law("coulomb", 0.2), 0.6, elements=24)
+    law = jaxform.replace(scene, {"tools.plug.contact.friction": 0.4}).tools[0].contact
+    assert isinstance(law, jaxform.Coulomb) and float(law.friction) == 0.4
+    with pytest.raises(jaxform.InputError, match="finite numbers >= 0"):
+        jaxform.replace(scene, {"tools.plug.contact.friction": -0.1})
+    with pytest.raises(jaxform.InputError, match="no such parameter"):
+        jaxform.replace(scene, {"tools.jaw.contact.friction": 0.1})
+    plug = scene.tools[0]
+    parts = {"parison": scene.parison, "material": scene.material, "pressure": scene.pressure, "solver": scene.solver}
+    with pytest.raises(jaxform.InputError, match="cannot be this tool's name"):
+        jaxform.build_scene(**parts, tools=[plug, plug])
+    with pytest.raises(jaxform.InputError, match="cannot be this tool's name"):
+        jaxform.build_scene(**parts, tools=[dataclasses.replace(plug, name="mold")])
+    with pytest.raises(jaxform.InputError, match="give it with contact"):
+        jaxform.make_contact_law("stick", 0.2)
+    with pytest.raises(jaxform.InputError, match="give it with contact"):
+        jaxform.make_contact_law("coulomb")
+    with pytest.raises(jaxform.InputError, match="choose one of stick, coulomb, slide"):
+        jaxform.make_contact_law("glue")
