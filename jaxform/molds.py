@@ -1,5 +1,5 @@
-"""Molds as surfaces: revolved profiles, the paper's box and bottle, or a surface of one's own."""
+"""Molds and other tools as surfaces: revolved profiles, rods, plates, the paper's box and bottle, or a mesh."""
 
-from jaxform.tools.molds import MoldShape, bottle_half, box_insert, divided, from_mesh, revolved
+from jaxform.tools.molds import MoldShape, bottle_half, box_insert, divided, from_mesh, placed, plate, revolved, rod
 
-__all__ = ["MoldShape", "bottle_half", "box_insert", "divided", "from_mesh", "revolved"]
+__all__ = ["MoldShape", "bottle_half", "box_insert", "divided", "from_mesh", "placed", "plate", "revolved", "rod"]

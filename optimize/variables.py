@@ -18,6 +18,7 @@ import numpy as np
 import jaxform
 from jaxform import InputError, Scene
 from jaxform.extend import number_at
+from jaxform.scene_files import file_key, replacement_path
 
 Bounds = tuple[float, float]
 
@@ -156,12 +157,24 @@ def _interval(last: Any, step: Any, bounds: Bounds, rising: bool) -> tuple[jax.A
     return low, jnp.minimum(bounds[1], last + step)
 
 
+def _no_number(scene: Scene, key: str) -> str:
+    """Description of a key of a tool that is no number of the scene."""
+    known = [
+        file_key(f"{part}.{path}")
+        for part in [*(["mold"] if scene.mold is not None else []), *(f"tools.{tool.name}" for tool in scene.tools)]
+        for path in ("contact.friction", "motion.displacement", "motion.time")
+        if number_at(scene, f"{part}.{path}") is not None
+    ]
+    return f"is no number of the scene; those of its tools are {', '.join(known) or 'none'}"
+
+
 class Scale:
     """A factor on a number of the scene, or on all of a list or field.
 
     Args:
         scene: The scene; its own values are the start, factor 1.
-        of: The scaled quantity: a number that `jaxform.replace` accepts, except times, such as "material.c".
+        of: The scaled quantity: a key of the scene file such as "material.c" or "tool.plug.friction", or a number that
+            `jaxform.replace` accepts; no time of the pressure or of the end.
         bounds: Least and largest factor.
 
     Raises:
@@ -178,8 +191,11 @@ class Scale:
                 "variable.of",
                 of,
             )
+        given, of = of, replacement_path(of)
         part, _, name = of.rpartition(".")
         present = number_at(scene, of)
+        if present is None and given != of:
+            raise InputError(_no_number(scene, given), "see the scene file's [[tool]] and [mold]", "variable.of", given)
         jaxform.replace(scene, {of: 1.0 if present is None else present})  # says what the scene has instead
         self.of, self.bounds = of, bounds
         self._present = jnp.asarray(present)
@@ -203,4 +219,4 @@ class Scale:
             return {self.of: float(values[0]) if np.ptp(values) == 0.0 else values}
         if self._varies:
             return {self.of: values[..., : self._first_nodes]}
-        return {self.of: values.tolist()}
+        return {file_key(self.of): values.tolist()}

@@ -21,7 +21,15 @@ from jaxform.core.pytree import as_real, check_untraced
 from jaxform.core.ranges import check, current_keys
 from jaxform.core.store import Store
 from jaxform.io import catalog, geometry, schema
-from jaxform.io.geometry import build_mold, build_part, build_profile, build_sheet, error_context
+from jaxform.io.geometry import (
+    build_mold,
+    build_part,
+    build_profile,
+    build_sheet,
+    build_tools,
+    error_context,
+    name_tools,
+)
 from jaxform.io.model_files import import_models_of
 from jaxform.io.scene_checks import warn_of_scene, warn_of_thin_features
 from jaxform.io.validation import validate
@@ -164,7 +172,7 @@ def review_scene(scene: Scene, document: SceneDocument) -> None:
 def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scene:
     """The scene of a document, like `build`, but without `review_scene`, which is left to the caller."""
     model = document.model
-    with error_context(document.file):
+    with error_context(document.file), name_tools():
         solver = model.solver
         check_untraced()
         read = functools.cache(meshes.read_mesh)  # [part] asks for the mold's files again
@@ -191,6 +199,7 @@ def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scen
                 max_steps=solver.max_steps,
             ),
             mold=find_mold(),
+            tools=build_tools(document, store, read),
             cooling=_cooling(document),
             fill=model.mold is None or model.mold.fill,
             part=build_part(document, find_mold(), store, read),

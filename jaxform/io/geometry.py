@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
 from jaxform.model.part import Part, make_part, select_mold_files
 from jaxform.tools import footprint, molds, motion
+from jaxform.tools.contact_law import make_contact_law
 from jaxform.tools.distances import Distances, interpolate, weights
 from jaxform.tools.mold import Mold, make_mold
 from jaxform.tools.slivers import collapse_short_sides, has_slivers
@@ -112,17 +114,18 @@ def build_profile(table: schema.ProfileTable, key: str) -> Profile:
 ReadMesh = Callable[..., meshes.Mesh]
 
 
-def _paths(table: schema.FileMold) -> list[str]:
+def _paths(table: schema.MeshFile) -> list[str]:
     return [table.path] if isinstance(table.path, str) else list(table.path)
 
 
 def _shape_of_files(
-    document: SceneDocument, table: schema.FileMold, names: Sequence[str], read: ReadMesh
+    document: SceneDocument, table: schema.MeshFile, names: Sequence[str], read: ReadMesh
 ) -> molds.MoldShape:
-    """A mold of files of these names, as its table places them."""
+    """A surface of files of these names, as its table places them."""
     with error_context("", "mold.path"):
         parts = [read(disk.expand_path(name, document.folder), scale=table.scale) for name in names]
         mesh = parts[0] if len(parts) == 1 else meshes.merge(parts)
+        assert isinstance(table, schema.PlacedTable)
         return molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
 
 
@@ -215,20 +218,88 @@ def build_mold(document: SceneDocument, store: Store | None = None, read: ReadMe
     table = document.model.mold
     if table is None:
         return None
-    if isinstance(table, schema.RevolvedMold):
-        shape = molds.revolved(profile=table.profile, segments=table.segments)
-    elif isinstance(table, schema.BoxInsertMold):
-        shape = molds.box_insert(**table.model_dump(exclude={"shape", "motion", "fill"}))
-    elif isinstance(table, schema.BottleHalfMold):
-        numbers = table.model_dump(exclude={"shape", "motion", "fill"})
-        kept = (store or Store()).arrays("bottle", (numbers,), lambda: _arrays(molds.bottle_half(**numbers)))
-        shape = molds.MoldShape(kept["vertices"], kept["triangles"])
-    else:
-        shape = _shape_of_files(document, table, _paths(table), read)
-    if isinstance(table, schema.FileMold | schema.RevolvedMold):
-        shape, _ = _merge_slivers(shape, store)
     moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())
-    return make_mold(shape.vertices, shape.triangles, shape.dropped, moves)
+    return _build_surface(document, table, moves, store, read)
+
+
+def build_tools(document: SceneDocument, store: Store | None = None, read: ReadMesh = meshes.read_mesh) -> list[Mold]:
+    """The tools of a document besides its mold; `read` reads a file of a path and a scale."""
+    made = []
+    for number, table in enumerate(document.model.tool, 1):
+        name = schema.tool_name(table, number)
+        with _tool_errors(name):
+            moves = None if table.motion is None else motion.make_motion(**table.motion)
+            made.append(_build_surface(document, table, moves, store, read, name))
+    return made
+
+
+@contextlib.contextmanager
+def _tool_errors(name: str) -> Iterator[None]:
+    """Errors inside are about a tool of this name, and not about the mold."""
+    try:
+        yield
+    except InputError as error:
+        raise tool_error(error, name) from None
+
+
+def tool_error(error: InputError, name: str) -> InputError:
+    """An error about the mold as one about a tool, whose keys of motion are its own."""
+
+    def rename(text: str) -> str:
+        text = re.sub(r"\bmold\.(?:motion\.|contact\.)?(?=[a-z])", f"tool.{name}.", text)
+        return text.replace("the mold", "the tool")
+
+    key = re.sub(rf"^(?:mold|tool[ .]{re.escape(name)})(?:\.motion|\.contact(?=\.))?", f"tool.{name}", error.key)
+    return replace(error, problem=rename(error.problem), remedy=rename(error.remedy), key=key)
+
+
+@contextlib.contextmanager
+def name_tools() -> Iterator[None]:
+    """Errors inside about a tool of a scene name its keys as the scene file does."""
+    try:
+        yield
+    except InputError as error:
+        found = re.match(r"tool[ .]([\w-]+)", error.key)
+        raise error if found is None else tool_error(error, found[1]) from None
+
+
+_SHAPES: dict[type, Callable[..., molds.MoldShape]] = {
+    schema.Revolved: molds.revolved,
+    schema.BoxInsert: molds.box_insert,
+    schema.BottleHalf: molds.bottle_half,
+    schema.Rod: molds.rod,
+    schema.Plate: molds.plate,
+}
+"""Surfaces whose keys are the arguments of a function."""
+
+
+def _build_surface(
+    document: SceneDocument,
+    table: schema.PlacedTable,
+    moves: motion.Motion | None,
+    store: Store | None,
+    read: ReadMesh,
+    name: str = "",
+) -> Mold:
+    """The mold or a tool of this name from its table."""
+    if isinstance(table, schema.MeshFile):
+        shape = _shape_of_files(document, table, _paths(table), read)
+    else:
+        kind = next(kind for kind in _SHAPES if isinstance(table, kind))
+        numbers = table.model_dump(include=set(kind.model_fields) - {"shape"})
+        shape = _built_in_shape(kind, numbers, store)
+        shape = molds.placed(shape, translate=table.translate, rotate=table.rotate)
+    if isinstance(table, schema.MeshFile | schema.Revolved):
+        shape, _ = _merge_slivers(shape, store)
+    law = make_contact_law(table.contact, table.friction if table.contact == "coulomb" else None)
+    return make_mold(shape.vertices, shape.triangles, shape.dropped, moves, law, name)
+
+
+def _built_in_shape(kind: type, numbers: dict[str, Any], store: Store | None) -> molds.MoldShape:
+    if kind is not schema.BottleHalf:
+        return _SHAPES[kind](**numbers)
+    kept = (store or Store()).arrays("bottle", (numbers,), lambda: _arrays(_SHAPES[kind](**numbers)))
+    return molds.MoldShape(kept["vertices"], kept["triangles"])
 
 
 # Nodal fields in mesh files, carried over to another mesh by initial position.

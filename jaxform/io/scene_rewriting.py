@@ -93,7 +93,7 @@ def _relocate_paths(document: SceneDocument) -> tuple[dict[str, Any], dict[str, 
     """The tables of a scene with its name and with paths that hold from everywhere, and these paths by the old ones."""
     data, moved = copy.deepcopy(document.data), {}
     data.setdefault("name", document.name)
-    for key in [*_PATHS, *_field_files(data)]:
+    for key in [*_PATHS, *_field_files(data), *_tool_files(data)]:
         moved |= _rewrite_path(data, key, document.folder)
     return data, moved
 
@@ -108,6 +108,12 @@ def _field_files(data: Mapping[str, Any]) -> list[str]:
                 items = {f"{section}.{key}.{k}": item for k, item in enumerate(value)}
             found += [f"{path}.file" for path, item in items.items() if isinstance(item, dict) and "file" in item]
     return found
+
+
+def _tool_files(data: Mapping[str, Any]) -> list[str]:
+    """The keys of all mesh files of tools."""
+    tables = data.get("tool", [])
+    return [f"tool.{k}.path" for k, table in enumerate(tables) if isinstance(table, dict) and "path" in table]
 
 
 def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> dict[str, str]:
@@ -140,20 +146,54 @@ def _write_fields(document: SceneDocument, values: NDArray[Any], number: str, pa
 
 def _put(data: dict[str, Any], key: str, value: Any) -> None:
     *sections, last = key.split(".")
+    if sections[:1] == ["tool"] and (place := _find_tool(data.get("tool"), sections[1])) is not None:
+        data, sections = data["tool"][place], sections[2:]
     for section in sections:
         data = data.setdefault(section, {})
     data[last] = value
 
 
+def _find_tool(tables: Any, name: str) -> int | None:
+    from jaxform.io.schema import find_tool  # takes pydantic to import, which `inline` alone does not need
+
+    return find_tool(tables, name)
+
+
 def _toml(data: Mapping[str, Any]) -> str:
-    """Numbers, texts, lists and tables, two levels of which become sections."""
-    plain = [f"{_key(key)} = {inline(value)}" for key, value in data.items() if not isinstance(value, dict)]
-    lines = list(plain)
-    for section, table in data.items():
-        if isinstance(table, dict):
-            lines += ["", f"[{_key(section)}]"]
-            lines += [f"{_key(key)} = {inline(value)}" for key, value in table.items()]
+    """Numbers, texts, lists and tables, two levels of which become sections, as do lists of tables."""
+    sections = {key: value for key, value in data.items() if isinstance(value, dict) or _is_of_tables(value)}
+    lines = [f"{_key(key)} = {inline(value)}" for key, value in data.items() if key not in sections]
+    for section, tables in sections.items():
+        head = f"[{_key(section)}]" if isinstance(tables, dict) else f"[[{_key(section)}]]"
+        for table in [tables] if isinstance(tables, dict) else tables:
+            lines += ["", head, *(f"{_key(key)} = {inline(value)}" for key, value in table.items())]
     return "\n".join(lines) + "\n"
+
+
+def _is_of_tables(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(item, dict) for item in value)
+
+
+# Numbers that a scene has at another place than its file.
+
+_MOTION = ("direction", "time", "displacement")
+
+
+def replacement_path(key: str) -> str:
+    """The path for `jaxform.replace` of a key of a scene file: tool.plug.friction is tools.plug.contact.friction."""
+    steps = key.split(".")
+    if steps[0] == "tool" and len(steps) == 3:
+        part = {"friction": "contact"} | dict.fromkeys(_MOTION, "motion")
+        return ".".join(["tools", steps[1], *([part[steps[2]]] if steps[2] in part else []), steps[2]])
+    return "mold.contact.friction" if key == "mold.friction" else key
+
+
+def file_key(path: str) -> str:
+    """The key of a scene file of a path of `jaxform.replace`: the inverse of `replacement_path`."""
+    found = re.fullmatch(r"tools\.([^.]+)\.(?:motion|contact)\.(\w+)", path)
+    if found is not None:
+        return f"tool.{found[1]}.{found[2]}"
+    return "mold.friction" if path == "mold.contact.friction" else path
 
 
 def _key(key: str) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
@@ -161,8 +163,19 @@ def validate[M: Table](model: type[M], data: dict[str, Any], file: str) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-    raise _input_error(first).with_context(file=file)
+        first = _input_error(error.errors(include_url=False)[0])
+    raise replace(first, file=file, key=_with_names(first.key, data))
+
+
+def _with_names(key: str, data: dict[str, Any]) -> str:
+    """A key in which a table of a list is called by its name, where it has one: tool.plug.friction."""
+    found = re.fullmatch(r"(\w+)\[(\d+)\]\.(.+)", key)
+    if found is None or found[3] == "name":
+        return key
+    tables = data.get(found[1])
+    table = tables[int(found[2])] if isinstance(tables, list) and int(found[2]) < len(tables) else None
+    name = table.get("name") if isinstance(table, dict) else None
+    return f"{found[1]}.{name}.{found[3]}" if isinstance(name, str) and name else key
 
 
 def validate_part[M: Table](model: type[M], data: Any) -> M:

@@ -135,7 +135,7 @@ def parse_cell(text: str) -> Any:
 
 
 def parse_path(path: str) -> list[Step]:
-    """The steps of a path: names of tables and keys, and numbers of list elements, from 0 (-1 is the last).
+    """The steps of a path: names of tables, keys and tools, and numbers of list elements, from 0 (-1 is the last).
 
     Raises:
         InputError: It is no path.
@@ -161,6 +161,8 @@ def set_value(data: dict[str, Any], path: str, value: Any) -> None:
     following: Any
     step: Any
     for step, following in zip(steps, [*steps[1:], None], strict=True):
+        if isinstance(step, str) and steps[0] == "tool" and (tables := _as_list(place)) is not None:
+            step = _tool_number(tables, step, path)
         if isinstance(step, int):
             if not isinstance(place, list):
                 raise InputError("is no list in the scene", "name the key alone, or give the scene a list there", path)
@@ -169,14 +171,35 @@ def set_value(data: dict[str, Any], path: str, value: Any) -> None:
                 raise InputError(problem, "count from 0, or -1 for the last", path)
         elif not isinstance(place, dict):
             raise InputError("is in no table of the scene", "name the key alone, or give the scene a table there", path)
+        entries: Any = place  # a table or a list
         if following is None:
-            place[step] = value
+            entries[step] = value
         elif isinstance(place, dict):
+            if step == "tool" and step not in place:
+                raise InputError("is no tool of the scene, which has none", "add it to the scene as [[tool]]", path)
             if isinstance(following, int) and step not in place:
                 raise InputError("is no list in the scene", "name the key alone, or give the scene a list there", path)
             place = place.setdefault(step, {})
         else:
-            place = place[step]
+            place = entries[step]
+
+
+def _as_list(value: Any) -> list[Any] | None:
+    """The value, if it is a list."""
+    return value if isinstance(value, list) else None
+
+
+def _tool_number(tables: list[Any], name: str, path: str) -> int:
+    """The index of a tool of this name.
+
+    Raises:
+        InputError: There is none.
+    """
+    number = schema.find_tool(tables, name)
+    if number is None:
+        known = [schema.tool_name(table, k) for k, table in enumerate(tables, 1)]
+        raise InputError("is no tool of the scene", f"its tools are {', '.join(known) or 'none'}", path)
+    return number
 
 
 def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None, about: str = "") -> list[Design]:
@@ -274,7 +297,7 @@ def _refuse(table: Rows, errors: list[InputError]) -> None:
     key = re.sub(r"\[-?\d+\]", "", first.key)
     in_column = any(key == path or key.startswith(f"{path}.") or path.startswith(f"{key}.") for path in columns)
     same = all((error.key, error.problem) == (first.key, first.problem) for error in errors)
-    misnamed = first.problem == NO_KEY or first.problem.startswith(("is no list", "is in no table"))
+    misnamed = first.problem == NO_KEY or first.problem.startswith(("is no list", "is in no table", "is no tool"))
     if not same or (in_column and not misnamed):
         return
     raise dataclasses.replace(first, file=table.file) if in_column else first
@@ -332,8 +355,10 @@ def unit_of(model: Any, path: str) -> str:
     """The unit of the quantity at a path of a validated scene file, as its description gives it; empty without one."""
     unit, place = "", model
     for step in parse_path(path):
-        if isinstance(step, int):
-            place = place[step] if isinstance(place, list) and -len(place) <= step < len(place) else None
+        if (tables := _as_list(place)) is not None or isinstance(step, int):
+            index = schema.find_tool(tables, step) if isinstance(step, str) else step
+            there = tables is not None and index is not None and -len(tables) <= index < len(tables)
+            place = tables[index] if there and tables and index is not None else None
             continue
         line = re.search(rf"^ +{step}: .*$", _description(type(place), step), re.MULTILINE)
         found = [words for words in re.findall(r"\[([^][]+)\]", line[0] if line else "") if words in _UNITS]

@@ -1,4 +1,4 @@
-"""Shapes of molds on the host: revolved profiles, a box with an insert, half a bottle, and a user's mesh."""
+"""Shapes of tools on the host: revolved profiles, rods, plates, a box with an insert, half a bottle, a user's mesh."""
 
 from __future__ import annotations
 
@@ -148,6 +148,78 @@ def bottle_half(
     return MoldShape(vertices, triangles)
 
 
+def rod(*, radius: float, length: float, end_radius: float | None = None, segments: int = 48) -> MoldShape:
+    """A closed rod along the z axis, with its rounded end at the origin and the rest at z < 0.
+
+    Args:
+        radius: Radius [m].
+        length: Length [m], with the end.
+        end_radius: Radius of the rounding between end and side [m]; that of the rod by default: a hemisphere.
+        segments: Facets of the full circle, and four times those of the rounding from the end to the side.
+
+    Returns:
+        The rod, its back closed by a flat disc.
+
+    Raises:
+        InputError: A number is out of range, or they do not fit together.
+    """
+    radius, length = _positive("mold.radius", radius), _positive("mold.length", length)
+    rounding = radius if end_radius is None else float(end_radius)
+    if not 0 <= rounding <= radius:
+        problem = f"is not between 0 and the radius of the rod ({radius:g} m)"
+        raise InputError(problem, "give a smaller one, or none for a hemisphere", "mold.end_radius", end_radius)
+    if length <= rounding:
+        raise InputError(
+            f"is not more than the rounding of its end ({rounding:g} m)", "lengthen it", "mold.length", length
+        )
+    count = 1 if rounding == 0 else max(2, -(-int(segments) // 4))
+    angle = np.linspace(0.0, 0.5 * np.pi, count + 1)
+    arc = np.stack([radius - rounding + rounding * np.sin(angle), rounding * (np.cos(angle) - 1.0)], axis=1)
+    if rounding == 0:
+        arc = np.array([[radius, 0.0]])
+    tip = [] if rounding == radius else [[0.0, 0.0]]
+    arc[0, 0] = 0.0 if rounding == radius else arc[0, 0]
+    profile = [*tip, *arc.tolist(), [radius, -length], [0.0, -length]]
+    return revolved(profile=profile, segments=segments)
+
+
+def plate(*, size: Sequence[float] | None = None, radius: float | None = None, segments: int = 48) -> MoldShape:
+    """A plate in z = 0: a rectangle from the origin to `size` [m], or a disc of a `radius` [m] about the origin.
+
+    Args:
+        size: Sides of the rectangle along x and y [m].
+        radius: Radius of the disc [m].
+        segments: Segments of the disc's circle.
+
+    Returns:
+        The plate.
+
+    Raises:
+        InputError: Neither or both are given, or one is no length.
+    """
+    if (size is None) == (radius is None):
+        raise InputError("needs size or radius, one of them", "give size = [a, b] or radius", "mold.size", size)
+    if radius is not None:
+        return revolved(profile=[[0.0, 0.0], [_positive("mold.radius", radius), 0.0]], segments=segments)
+    sides = _sides("mold.size", size or ())
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * sides
+    return MoldShape(np.insert(corners, 2, 0.0, axis=1), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+
+
+def placed(
+    mold: MoldShape, *, translate: Sequence[float] = (0, 0, 0), rotate: Sequence[float] = (0, 0, 0)
+) -> MoldShape:
+    """The surface turned about x, y and z [degrees], in that order, then moved [m].
+
+    Raises:
+        InputError: One of the two is not three finite numbers.
+    """
+    shift, turn = _triple("mold.translate", translate, "metres"), _triple("mold.rotate", rotate, "degrees")
+    if not np.any(shift) and not np.any(turn):
+        return mold
+    return replace(mold, vertices=mold.vertices @ rotation(turn).T + shift)
+
+
 def divided(mold: MoldShape, parts: int) -> MoldShape:
     """The surface with every edge cut in `parts` and every triangle in `parts` squared."""
     if parts == 1:
@@ -182,12 +254,11 @@ def from_mesh(mesh: Mesh, *, translate: Sequence[float] = (0, 0, 0), rotate: Seq
     Raises:
         InputError: No triangle is left, or `translate` or `rotate` are not three finite numbers.
     """
-    shift, turn = _triple("mold.translate", translate, "metres"), _triple("mold.rotate", rotate, "degrees")
     clean, dropped = meshes.drop_degenerate(meshes.weld(mesh))
     if not len(clean.triangles):
         problem = f"none of its {len(mesh.triangles)} triangles has an area"
         raise InputError(problem, "check the file and the scale", key="mold.path")
-    return MoldShape(clean.positions @ rotation(turn).T + shift, clean.triangles, dropped)
+    return placed(MoldShape(clean.positions, clean.triangles, dropped), translate=translate, rotate=rotate)
 
 
 def _profile_points(profile: ArrayLike) -> NDArray[np.float64]:

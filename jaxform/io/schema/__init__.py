@@ -6,7 +6,20 @@ keys means: the pages of the reference are made of it.
 """
 
 from jaxform.io.schema.material import Material, MaterialTable, Viscous, material_table, material_tables
-from jaxform.io.schema.mold import BottleHalfMold, BoxInsertMold, FileMold, Mold, RevolvedMold
+from jaxform.io.schema.mold import (
+    BottleHalf,
+    BoxInsert,
+    FileMold,
+    MeshFile,
+    Mold,
+    PlacedTable,
+    Plate,
+    Revolved,
+    Rod,
+    Tool,
+    find_tool,
+    tool_name,
+)
 from jaxform.io.schema.parison import (
     BottleHalfParison,
     Disc,
@@ -64,9 +77,9 @@ from jaxform.io.schema.sweep import SweepTable, SweepVariableTable
 
 __all__ = [
     "Adam",
-    "BottleHalfMold",
+    "BottleHalf",
     "BottleHalfParison",
-    "BoxInsertMold",
+    "BoxInsert",
     "Disc",
     "ElementSize",
     "FieldReference",
@@ -82,6 +95,7 @@ __all__ = [
     "LeastSquares",
     "Material",
     "MaterialTable",
+    "MeshFile",
     "Method",
     "Mold",
     "NumberProfile",
@@ -92,12 +106,15 @@ __all__ = [
     "Output",
     "Parison",
     "PartTable",
+    "PlacedTable",
+    "Plate",
     "PressureKnotsTable",
     "PressureTable",
     "ProfileTable",
     "RectangleTable",
     "RefinementTable",
-    "RevolvedMold",
+    "Revolved",
+    "Rod",
     "ScaleTable",
     "SceneFile",
     "SceneReference",
@@ -113,11 +130,14 @@ __all__ = [
     "Thickness",
     "ThicknessFieldTable",
     "ThicknessProfileTable",
+    "Tool",
     "TrimTable",
     "Tube",
     "UniformTable",
     "Variable",
     "Viscous",
+    "find_tool",
     "material_table",
     "material_tables",
+    "tool_name",
 ]

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from jaxform.core.ranges import MOST_STEPS
 from jaxform.io.schema.material import Material
-from jaxform.io.schema.mold import Mold
+from jaxform.io.schema.mold import Mold, Tools, check_names, tool_name
 from jaxform.io.schema.parison import Parison
 from jaxform.io.schema.quantities import Triple
 from jaxform.io.validation import Coordinate, Number, Table, declared_range, validation_error
@@ -190,9 +190,10 @@ class SceneFile(Table):
         description: One line for the list of scenes.
         parison: The sheet.
         material: The material model.
-        pressure: The pressure history; may be absent where a gas, gravity or a moving mold does the work.
+        pressure: The pressure history; may be absent where a gas, gravity or a moving tool does the work.
         gas: A gas that is blown into the sheet, instead of the pressure history.
-        mold: The mold; without it the sheet is inflated freely.
+        mold: The mold; without it and without tools the sheet is inflated freely.
+        tool: Tools besides the mold, such as plugs: a section [[tool]] for each.
         part: Selection of the part from the formed sheet; without it, all of it.
         refinement: Adaptive refinement; without it, the mesh does not change.
         cooling: Cooling of the sheet; without it, it keeps its temperature.
@@ -207,6 +208,7 @@ class SceneFile(Table):
     pressure: PressureTable | None = None
     gas: GasTable | None = None
     mold: Mold | None = None
+    tool: Tools = Field(default_factory=list)
     part: PartTable | None = None
     refinement: RefinementTable | None = None
     cooling: CoolingTable | None = None
@@ -217,8 +219,20 @@ class SceneFile(Table):
     def _check_drive(self) -> SceneFile:
         if self.pressure is not None and self.gas is not None:
             raise validation_error("is given together with [pressure]", "give one of the two", "gas", {})
-        moves = self.gas is not None or (self.mold is not None and self.mold.motion is not None)
+        motions = [table.motion for table in (self.mold, *self.tool) if table is not None]
+        moves = self.gas is not None or any(motion is not None for motion in motions)
         if self.pressure is None and self.solver.gravity is None and not moves:
-            remedy = "give [pressure], [gas], solver.gravity or [mold.motion]"
+            remedy = "give [pressure], [gas], solver.gravity, [mold.motion] or a [[tool]] that moves"
             raise validation_error("is missing, and nothing else moves the sheet", remedy, "pressure", None)
+        return self
+
+    @model_validator(mode="after")
+    def _check_tools(self) -> SceneFile:
+        check_names(self.tool)
+        for number, table in enumerate(self.tool, 1):
+            for key in ("temperature", "heat_transfer"):
+                value = getattr(table, key)
+                if value is not None and self.cooling is None:
+                    problem, remedy = "has no effect, for the sheet does not cool", "give [cooling], or leave it out"
+                    raise validation_error(problem, remedy, f"tool.{tool_name(table, number)}.{key}", value)
         return self

@@ -101,7 +101,8 @@ class ScaleTable(Table):
 
     Attributes:
         kind: The kind of variable.
-        of: Key of the number: material.c, material.density, parison.thickness, pressure.value, solver.damping, ...
+        of: Key of the number or list: material.c, parison.thickness, pressure.value, solver.damping, mold.friction,
+            tool.plug.friction, tool.plug.displacement, tool.plug.time, ... (plug is the name of a tool).
         bounds: Least and largest factor.
     """
 

@@ -1,0 +1,179 @@
+"""Tools of scene files: tables, errors in words, files of other folders, paths of studies and sweeps."""
+
+from __future__ import annotations
+
+import copy
+import shutil
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform.io import files, scene_rewriting
+from jaxform.mesh import meshes
+from jaxform.sweeps import designs
+from jaxform.tools import molds
+from optimize.variables import Scale
+from tests import scenes
+
+pytestmark = pytest.mark.quick
+PLUG: dict[str, Any] = {
+    "name": "plug",
+    "shape": "rod",
+    "radius": 0.02,
+    "length": 0.05,
+    "translate": [0.0, 0.0, -0.001],
+    "direction": [0.0, 0.0, 2.0],
+    "time": [0.0, 0.05],
+    "displacement": [0.0, 0.03],
+    "contact": "coulomb",
+    "friction": 0.2,
+}
+
+
+def _tables(tools: Any, **others: Any) -> dict[str, Any]:
+    tables = {key: value for key, value in tomllib.loads(scenes.FILE).items() if key != "mold"}
+    return copy.deepcopy({**tables, "tool": tools, **others})
+
+
+def _document(tools: Any, **others: Any) -> files.SceneDocument:
+    return files.validate_scene(_tables(tools, **others), "s.toml", Path("."))
+
+
+def _plug(**changes: Any) -> dict[str, Any]:
+    return {key: value for key, value in (PLUG | changes).items() if value is not None}
+
+
+def test_a_file_with_tools_makes_a_scene_with_them() -> None:
+    plate = {
+        "shape": "plate",
+        "size": [0.2, 0.1],
+        "translate": [-0.1, -0.05, 0.06],
+        "contact": "slide",
+        "friction": 0.0,
+    }
+    scene = files.build_unchecked(_document([PLUG, plate]))
+    plug, below = scene.tools
+    assert (plug.name, below.name) == ("plug", "tool2")
+    assert isinstance(plug.contact, jaxform.Coulomb) and float(plug.contact.friction) == 0.2
+    assert isinstance(below.contact, jaxform.Slide)
+    assert plug.motion is not None and below.motion is None
+    np.testing.assert_allclose(np.asarray(plug.motion.direction), [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(np.asarray(plug.vertices)[:, 2].max(), -0.001)
+    np.testing.assert_allclose(np.asarray(below.vertices).min(0), [-0.1, -0.05, 0.06])
+    with_mold = files.build_unchecked(_document([], mold={"shape": "plate", "radius": 0.1, "translate": [0, 0, 0.02]}))
+    assert with_mold.mold is not None and with_mold.tools == () and with_mold.mold.contact.sticks
+
+
+@pytest.mark.parametrize(
+    ("tools", "words"),
+    [
+        ({"plug": PLUG}, "tool = .*: is not a list of tools; write each tool as a section \\[\\[tool\\]\\]"),
+        ([PLUG, PLUG], "tool\\[1\\].name = 'plug': is the name of another tool"),
+        ([_plug(name="Mold")], "tool\\[0\\].name = 'Mold': is the name of the mold"),
+        ([_plug(name="")], "tool\\[0\\].name = '': cannot be the name of a tool"),
+        ([_plug(name="../x")], "tool\\[0\\].name = '../x': cannot be"),
+        ([_plug(name=1)], "tool\\[0\\].name = 1: is not a string"),
+        ([_plug(friction=-0.1)], "tool.plug.friction = -0.1: is too small"),
+        ([_plug(friction=float("nan"))], "tool.plug.friction = nan: is not finite"),
+        ([_plug(friction="0.2")], "tool.plug.friction = '0.2': is not a number"),
+        ([_plug(friction=None)], "tool.plug.friction: is missing, and contact is coulomb; give the coefficient"),
+        ([_plug(contact=None)], "tool.plug.friction = 0.2: has no effect with contact = stick"),
+        ([_plug(contact="slide")], "tool.plug.friction = 0.2: has no effect with contact = slide"),
+        ([_plug(contact="glue")], "tool.plug.contact = 'glue': is unknown; use 'stick', 'coulomb' or 'slide'"),
+        ([_plug(direction=None)], "tool.plug.direction: is missing, but time is given"),
+        ([_plug(displacement=None)], "tool.plug.displacement: is missing, but direction is given"),
+        ([_plug(direction=[0.0, 0.0, 0.0])], "tool.plug.direction = .*: is not a direction"),
+        ([_plug(time=[0.1, 0.1])], "tool.plug.time = .*: the knots do not increase"),
+        ([_plug(displacement=[0.0])], "tool.plug.displacement = .*: is too short"),
+        ([_plug(displacement=[0.0, 1.0, 2.0])], "tool.plug.displacement: 2 times and 3 displacements"),
+        ([_plug(displacement=[0.1, 0.2])], "tool.plug.displacement = 0.1: .* place the tool .*tool.plug.translate"),
+        ([_plug(direction=[1.0, 0.0, 0.0])], "tool.plug.direction = .*: the tool moves across a symmetry plane"),
+        ([_plug(temperature=40.0)], "tool.plug.temperature = 40.0: has no effect, for the sheet does not cool"),
+        ([_plug(heat_transfer=9.0)], "tool.plug.heat_transfer = 9.0: has no effect"),
+        ([_plug(shape="cone")], "tool.plug.shape = 'cone': is unknown"),
+        ([_plug(length=0.01)], "tool.plug.length = 0.01: is not more than the rounding"),
+        ([_plug(end_radius=0.03)], "tool.plug.end_radius = 0.03: is not between 0 and the radius"),
+        ([_plug(fill=True)], "tool.plug.fill: is not a valid key"),
+        ([_plug(translate=[0.0, 0.0])], "tool.plug.translate = .*: is too short"),
+        ([{"name": "base", "shape": "plate"}], "tool.base.size: is missing; give size = \\[a, b\\] or radius"),
+        ([{"name": "base", "shape": "file", "path": "no.stl"}], "tool.base.path = .*no.stl.*: does not exist"),
+        ([3], "tool\\[0\\] = 3: is not a table"),
+        ([_plug(translate=[0.02, 0.02, 0.03])], "tool.plug: the parison initially penetrates the tool, .*tool.plug.tr"),
+    ],
+)
+def test_errors_name_the_tool(tools: Any, words: str) -> None:
+    with pytest.raises(jaxform.InputError, match=f"^s.toml: {words}"):
+        files.build_unchecked(_document(tools))
+
+
+def test_a_tool_alone_may_form_the_sheet_but_not_one_that_rests() -> None:
+    tables = _tables([PLUG])
+    tables.pop("pressure")
+    files.validate_scene(tables, "s.toml", Path("."))
+    tables["tool"] = [_plug(direction=None, time=None, displacement=None)]
+    with pytest.raises(
+        jaxform.InputError, match=r"pressure: is missing, and nothing else moves the sheet; give .*tool"
+    ):
+        files.validate_scene(tables, "s.toml", Path("."))
+
+
+def test_rods_are_closed_and_as_large_as_they_say() -> None:
+    for end, low in ((None, 0.0), (0.005, 0.015), (0.0, 0.02)):
+        made = molds.rod(radius=0.02, length=0.05, end_radius=end, segments=32)
+        corners = made.vertices[made.triangles]
+        volume = abs(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum()) / 6
+        edges = np.sort(made.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2)
+        np.testing.assert_allclose([made.vertices[:, 2].min(), made.vertices[:, 2].max()], [-0.05, 0.0], atol=1e-15)
+        flat = np.hypot(*made.vertices[made.vertices[:, 2] == 0.0].T[:2]).max()
+        np.testing.assert_allclose(flat, low, atol=1e-12)
+        rounding = 0.02 if end is None else end
+        lost = np.pi * rounding**3 / 3 if end is None else 0.0
+        if end in (None, 0.0):
+            np.testing.assert_allclose(volume, np.pi * 0.02**2 * 0.05 - lost, rtol=0.015)
+
+
+def test_a_design_with_tools_runs_from_another_folder(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    made = molds.rod(radius=0.02, length=0.05, segments=12)
+    meshes.write_stl(tmp_path / "a" / "plug.stl", 1e3 * made.vertices, made.triangles)
+    of_file = _plug(shape="file", radius=None, length=None, path="plug.stl", scale=1e-3)
+    document = files.validate_scene(_tables([of_file]), "s.toml", tmp_path / "a")
+    written = scene_rewriting.write_scene(document, {"tool.plug.friction": 0.3}, tmp_path)
+    scene = jaxform.load(written)
+    assert float(scene.tools[0].contact.friction) == 0.3  # pyright: ignore
+    assert scene_rewriting.referenced_files(document) == [tmp_path / "a" / "plug.stl"]
+    shutil.rmtree(tmp_path / "a")
+    with pytest.raises(jaxform.InputError, match=r"best.toml: tool.plug.path = .*plug.stl"):
+        jaxform.load(written)
+
+
+def test_studies_name_numbers_of_tools_as_the_file_does() -> None:
+    scene = files.build_unchecked(_document([PLUG]))
+    for key, value in (("friction", 0.2), ("displacement", [0.0, 0.03]), ("time", [0.0, 0.05])):
+        scale = Scale(scene, of=f"tool.plug.{key}", bounds=(0.5, 2.0))
+        np.testing.assert_allclose(scale.document(jnp.asarray(scale.start))[f"tool.plug.{key}"], value, rtol=1e-12)
+        jaxform.replace(scene, scale.changes(jnp.asarray(scale.start)))
+    words = (
+        r"^variable.of = 'tool.pug.friction': is no number of the scene; those of its tools are tool.plug.friction, "
+    )
+    with pytest.raises(jaxform.InputError, match=words):
+        Scale(scene, of="tool.pug.friction", bounds=(0.5, 2.0))
+
+
+def test_sweeps_name_tools() -> None:
+    tables = _tables([PLUG])
+    for path, unit in (("tool.plug.radius", "m"), ("tool[0].length", "m"), ("tool.plug.displacement[1]", "m")):
+        designs.set_value(tables, path, 0.025)
+        assert designs.unit_of(_document([PLUG]).model, path) == unit
+    assert tables["tool"][0] == PLUG | {"radius": 0.025, "length": 0.025, "displacement": [0.0, 0.025]}
+    with pytest.raises(jaxform.InputError, match=r"tool.pug.radius: is no tool of the scene; its tools are plug"):
+        designs.set_value(tables, "tool.pug.radius", 0.1)
+    del tables["tool"]
+    with pytest.raises(jaxform.InputError, match=r"tool.plug.radius: is no tool of the scene, which has none"):
+        designs.set_value(tables, "tool.plug.radius", 0.1)
