@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, format_extent
 from jaxform.core.pytree import as_real
 from jaxform.core.store import Store
 from jaxform.io import files, schema
@@ -20,6 +20,9 @@ from jaxform.model.tables import SHORT_WINDOW
 from jaxform.prepare import window_budget
 from jaxform.results.summary import QUASI_STATIC_LIMIT
 from jaxform.runs.loop import is_compiled
+from jaxform.tools.contact_law import Coulomb, Slide
+from jaxform.tools.mold import Mold
+from jaxform.tools.motion import Motion
 
 # Measured on one core of a 2-core machine (docs/speed.md says more): of an element and of a step by itself, and what a
 # process takes before it has a scene.
@@ -83,11 +86,13 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
     seen = survey(scene)
     yield from _sheet_lines(document, scene, seen)
     yield from _mold_lines(scene, seen)
+    for tool in scene.tools:
+        yield from _tool_lines(tool)
     if document.model.part is not None:
         yield f"part: {_short(document.model.part.model_dump(exclude_none=True))}; all statistics count the part alone"
     yield from _run_lines(scene, store)
     skipped = {
-        "contact (no mold)": scene.mold is None,
+        "contact (no mold)": not scene.surfaces,
         "damping (none given)": scene.solver.damping is None,
         "gravity (none given)": scene.solver.gravity is None,
         "viscous stress (no Prony terms)": scene.material.viscous is None,
@@ -138,11 +143,10 @@ def _mold_lines(scene: Scene, seen: Survey) -> Iterator[str]:
         return
     dropped = f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
     yield f"mold: {len(scene.mold.triangles)} triangles{dropped}; {seen.mold}"
-    if scene.motion is not None:
-        motion = scene.motion
-        way = ", ".join(f"{value:.4g}" for value in np.asarray(motion.direction, float))
-        far, time = float(motion.displacement[-1]), float(motion.time[-1])
-        yield f"the mold moves along ({way}), by {far:.4g} m at {time:.4g} s"
+    if not scene.mold.contact.sticks:
+        yield f"nodes on the mold {_contact_words(scene.mold)}"
+    if scene.mold.motion is not None:
+        yield f"the mold {_way(scene.mold.motion)}"
         return
     on = 1.0 - seen.ahead - seen.behind
     sides = f"{100 * seen.ahead:.3g} % of the mold's area lies on that side"
@@ -150,6 +154,33 @@ def _mold_lines(scene: Scene, seen: Survey) -> Iterator[str]:
     if seen.overlap is not None:
         sides += f"; {100 * seen.overlap:.3g} % of the sheet has mold in front of it"
     yield sides
+
+
+def _tool_lines(tool: Mold) -> Iterator[str]:
+    """Lines on a tool: its triangles and box, its way and its contact law."""
+    places = np.asarray(tool.vertices, float)[np.unique(np.asarray(tool.triangles))]
+    dropped = f" ({tool.dropped} degenerate or duplicate ones left out)" if tool.dropped else ""
+    extent = format_extent(places.min(0), places.max(0))
+    yield f"tool {tool.name}: {len(tool.triangles)} triangles{dropped}; {extent}"
+    way = "rests" if tool.motion is None else _way(tool.motion)
+    yield f"the tool {tool.name} {way}; nodes on it {_contact_words(tool)}"
+
+
+def _way(motion: Motion) -> str:
+    """A motion in words: direction, and displacements at the knots."""
+    along = ", ".join(f"{value:.4g}" for value in np.asarray(motion.direction, float))
+    far, time = np.asarray(motion.displacement, float), np.asarray(motion.time, float)
+    steps = [f"{value:.4g} m at {at:.4g} s" for value, at in zip(far[1:], time[1:], strict=True)]
+    begins = f"from {time[0]:.4g} s on, " if time[0] > 0.0 else ""
+    return f"moves along ({along}), {begins}by {', '.join(steps if len(steps) <= 4 else [steps[0], '...', steps[-1]])}"
+
+
+def _contact_words(tool: Mold) -> str:
+    """What nodes on a mold or tool do, in words."""
+    law = tool.contact
+    if isinstance(law, Coulomb):
+        return f"slide with friction (coulomb, friction {float(law.friction):.4g})"
+    return "stick" if law.sticks else "slide without friction" if isinstance(law, Slide) else f"follow {law.kind}"
 
 
 def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
@@ -167,7 +198,7 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     steps_each = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
     windows = f"at most {scene.tables.window_count} windows of {steps_each} steps"
     yield f"to {end:.4g} s, first step about {step:.3g} s, {windows}"
-    steps = end / step + window_budget.tool_steps(scene.motion, scene.tables.grid, end, step)
+    steps = end / step + sum(window_budget.tool_steps(tool.motion, grid, end, step) for tool, grid in scene.surfaces)
     seconds = steps * (_PER_STEP + elements * _PER_ELEMENT)
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
     most = "up to " if scene.refinement is not None else ""

@@ -247,7 +247,7 @@ def tool_error(error: InputError, name: str) -> InputError:
 
     def rename(text: str) -> str:
         text = re.sub(r"\bmold\.(?:motion\.|contact\.)?(?=[a-z])", f"tool.{name}.", text)
-        return text.replace("the mold", "the tool")
+        return text.replace("the mold", "the tool").replace("mold triangle", "triangle")
 
     key = re.sub(rf"^(?:mold|tool[ .]{re.escape(name)})(?:\.motion|\.contact(?=\.))?", f"tool.{name}", error.key)
     return replace(error, problem=rename(error.problem), remedy=rename(error.remedy), key=key)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,8 @@ from jaxform.io.surfaces import (
     mirror_points,
     part_view,
     sheet_view,
+    tool_colors,
+    tool_faces,
 )
 from jaxform.io.views import MINIMUM, draw
 from jaxform.model.replacement import number_at
@@ -33,6 +35,7 @@ from jaxform.results.part import restrict_to_part
 from jaxform.results.part_warnings import thinnest_element
 from jaxform.results.result import Result, drop_unused
 from jaxform.results.summary import explain, formed_areas, wall_statistics
+from jaxform.tools.motion import Motion
 
 Array = NDArray[np.float64]
 Part = tuple[Scene, Result]
@@ -322,7 +325,7 @@ def column(history: Sequence[Mapping[str, Any]], name: str) -> Array:
 # The picture of a scene before it runs: the sheet in the mold.
 
 _ARROW = 0.08  # of what is drawn, an arrow of the pressure is long
-_AT_END = "mold at the end"
+_MOVED = 0.02  # of the farthest displacement: a tool that moved as much less again is not where it was farthest
 _MUCH = 8.0  # times as large as the sheet, a mold leaves a dot of it
 
 
@@ -359,24 +362,17 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
     middle = 1e3 * 0.5 * (seen.sheet.low + seen.sheet.high)[axis]
     level = middle + 0.1 * seen.sheet.size  # mm and m: a ten-thousandth beside the nodes in the middle
     sheet = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
-    lines = {"sheet": sections.cut_triangles(1e3 * np.concatenate(mirror_points(scene, sheet)), axis, level)}
-    if scene.mold is not None:
-        walls = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
-        lines["mold"] = sections.cut_triangles(1e3 * np.concatenate(mirror_points(scene, walls)), axis, level)
-    if scene.motion is not None and "mold" in lines:
-        end = 1e3 * np.asarray(scene.motion.offset(as_real(float(scene.solver.end_time))), float)
-        moved = 1e3 * np.concatenate(mirror_points(scene, walls)) + end
-        lines[_AT_END] = sections.cut_triangles(moved, axis, level)
-    styles = (("mold", "#606060", 1.8, "-"), (_AT_END, "#a06020", 1.4, "--"), ("sheet", SHEET, 2.5, "-"))
-    for name, color, width, style in styles:
-        if name in lines:
-            drawn = lines[name][..., [across, push]]
-            collection = LineCollection(list(drawn), colors=color, linewidths=width, linestyles=style, label=name)
-            axes.add_collection(collection)
+    lines = [("sheet", SHEET, 2.5, "-", 1e3 * np.concatenate(mirror_points(scene, sheet)))]
+    lines += [(*line, 1e3 * faces) for *line, faces in _tool_lines(scene)]
+    cuts = [(*line, sections.cut_triangles(faces, axis, level)[..., [across, push]]) for *line, faces in lines]
+    for name, color, width, style, cut in [*cuts[1:], cuts[0]]:
+        collection = LineCollection(list(cut), colors=color, linewidths=width, linestyles=style, label=name)
+        axes.add_collection(collection)
+    of_sheet = cuts[0][-1]
     axes.autoscale()
-    _draw_push(axes, lines["sheet"][..., [across, push]].mean(1), [across, push], seen)
-    if seen.mold is not None and seen.mold.size > _MUCH * seen.sheet.size and len(lines["sheet"]):
-        dot = lines["sheet"][..., [across, push]].mean((0, 1))
+    _draw_push(axes, of_sheet.mean(1), [across, push], seen)
+    if seen.mold is not None and seen.mold.size > _MUCH * seen.sheet.size and len(of_sheet):
+        dot = of_sheet.mean((0, 1))
         axes.plot(*dot[:, None], "o", color=SHEET, ms=5)
         axes.annotate("the sheet", dot, (12, 12), textcoords="offset points", color=AFTER)
     axes.margins(0.08)
@@ -387,6 +383,27 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
     axes.set_title(f"cut at {'xyz'[axis]} = {middle + 0.0:.4g} mm", fontsize=11)
     axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[push]} [mm]")
     axes.legend(frameon=False, loc="upper right")
+
+
+def _tool_lines(scene: Scene) -> Iterator[tuple[str, str, float, str, Array]]:
+    """Name, colour, width and style of the lines of mold and tools, at the start and the end, and their triangles."""
+    colors = ("#606060", *tool_colors(len(scene.tools)))[0 if scene.mold is not None else 1 :]
+    for (tool, _), color in zip(scene.surfaces, colors, strict=True):
+        name, faces = tool.name or "mold", tool_faces(scene, tool)
+        yield name, color, 1.8, "-", faces
+        if tool.motion is not None:
+            end = np.asarray(tool.motion.offset(as_real(float(scene.solver.end_time))), float)
+            farthest = _farthest(tool.motion, float(scene.solver.end_time))
+            if np.linalg.norm(farthest - end) > _MOVED * np.linalg.norm(farthest):
+                yield f"{name}, farthest", color, 1.2, ":", faces + farthest
+            yield f"{name} at the end", "#a06020" if tool is scene.mold else color, 1.4, "--", faces + end
+
+
+def _farthest(motion: Motion, end: float) -> Array:
+    """The displacement (3,) [m] at the knot before an end [s] at which a tool is farthest from its start."""
+    far, time = np.asarray(motion.displacement, float), np.asarray(motion.time, float)
+    before = np.abs(np.where(time <= end, far, 0.0))
+    return far[int(np.argmax(before))] * np.asarray(motion.direction, float)
 
 
 def _draw_push(axes: Any, middle: Array, plane: list[int], seen: Survey) -> None:

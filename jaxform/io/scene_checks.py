@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 from jaxform.core.errors import format_extent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
 from jaxform.io.surfaces import mirror_points
+from jaxform.io.tool_checks import heights_above, warn_of_motion, warn_of_tools
 from jaxform.io.unit_checks import warn_of_units
 from jaxform.mechanics.membrane import equibiaxial_energy
 from jaxform.mesh import masks, raster
 from jaxform.model.mesh_connectivity import warn_of_connectivity
-from jaxform.model.scene import Parison, Scene
+from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.tools.cells import cells_behind
-from jaxform.tools.distances import Distances
 from jaxform.tools.mold import Mold
-from jaxform.tools.motion import Motion
 from jaxform.tools.opening import rotation_to_z
 from jaxform.tools.patches import find_side_holes
 from jaxform.tools.ribs import Ribs, slender_feature
@@ -28,46 +27,8 @@ from jaxform.tools.ribs import Ribs, slender_feature
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Distance of a moving mold from the sheet. On the host.
-
-_NEAR = 1e-4  # of the sheet's size: a mold that touches it at first may well pull it along
-_SAME = 1e-3  # of a distance: one that is as much less is nearer
-_FARTHER = 0.02  # of the sheet's size, that a mold moves off
-_TIMES = 21  # times at which the distance of the mold is measured
-
-
-def _distances_in_motion(parison: Parison, mold: Mold, motion: Motion, end: float) -> list[float]:
-    """Distances [m] of a moving mold from the initial sheet, at times evenly from 0 to the end [s]."""
-    sheet = np.asarray(parison.positions, float)[np.unique(np.asarray(parison.triangles))]
-    size = float(np.ptp(np.concatenate([sheet, mold.where_it_turns()]), axis=0).max())
-    distances = Distances(mold.vertices, mold.triangles, size)
-    moved = (sheet - np.asarray(motion.offset(as_real(time)), float) for time in np.linspace(0.0, end, _TIMES))
-    return [float(distances.upper_bounds(places).min()) for places in moved]
-
-
-def warn_of_motion(scene: Scene, file: str) -> None:
-    """Warns of a mold that moves away from a sheet which it is not near to, and never comes nearer."""
-    if scene.mold is None or scene.motion is None:
-        return
-    end = min(float(scene.solver.end_time), float(np.asarray(scene.motion.time)[-1]))
-    away = _distances_in_motion(scene.parison, scene.mold, scene.motion, end)
-    first, last = away[0], away[-1]
-    size = float(np.ptp(np.asarray(scene.parison.positions, float), axis=0).max())
-    moves_off = min(away) >= (1 - _SAME) * first and last > first + _FARTHER * size
-    if first <= _NEAR * size or not moves_off:
-        return
-    way = np.asarray(scene.motion.direction, float).tolist()
-    ends = f"{first:.3g} m from the sheet at first, {last:.3g} m at {end:.3g} s"
-    warn_of(
-        f"the mold moves, but not towards the sheet: {ends}",
-        "reverse mold.motion.direction, or move the mold to the other side of the sheet (mold.translate)",
-        key="mold.motion.direction",
-        value=way,
-        file=file,
-    )
-
-
 _ALIKE = 15.0  # times as large as the sheet, or as small, a mold may be
+_SMALL = 60.0  # times smaller than the sheet, a tool may be
 _GUESS = 5.0  # by which a mold in other units than m may be larger or smaller than the sheet
 _SAMPLES = 10_000  # points on the mold, of which each is on one side of the sheet
 _FLAT = 1e-3  # of the sheet's size: as near as that to its surface a mold lies on it
@@ -173,7 +134,7 @@ def survey(scene: Scene) -> Survey:
         walls = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
         mold = _box(walls.reshape(-1, 3))
         points = _reflect_into_part(_sample_triangles(walls), planes, used)
-        height = _heights(points, middle, sign * normal / area[:, None])
+        height = heights_above(points, middle, sign * normal / area[:, None])
         ahead, behind = (float((side * height > _FLAT * box.size).mean()) for side in (1, -1))
         if np.linalg.norm(facing) >= _FACING:
             overlap, exposed, bare = _overlap(corners, walls, facing)
@@ -209,14 +170,6 @@ def _reflect_into_part(points: Array, planes: dict[int, float], used: Array) -> 
         side = np.sign(used[:, axis].mean() - level)
         points[:, axis] = level + side * np.abs(points[:, axis] - level)
     return points
-
-
-def _heights(points: Array, middle: Array, unit: Array) -> Array:
-    """Signed distances [m] of points (n, 3) [m] in front of the nearest elements with these centroids and normals."""
-    from scipy.spatial import KDTree  # takes a tenth of a second to import
-
-    nearest = KDTree(middle).query(points, workers=-1)[1]
-    return np.einsum("ij,ij->i", points - middle[nearest], unit[nearest])
 
 
 def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, tuple[float, Array]]:
@@ -269,7 +222,18 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
     warn_of_units(scene, file)
     if seen.mold is not None:
         _warn_of_mold(seen, file, getattr(tables, "mold", None), sheet, moves=scene.motion is not None)
-        warn_of_motion(scene, file)
+    warn_of_motion(scene, file)
+    given = [None] * len(scene.tools) if tables is None else tables.tool
+    scales = [getattr(table, "scale", None) for table in given]
+    sheet_scale = getattr(sheet, "scale", None)
+    # What is in other units lies elsewhere, too.
+    sized = [
+        tool
+        for tool, scale in zip(scene.tools, scales, strict=True)
+        if not _warn_of_size(seen, tool, scale, sheet_scale, file)
+    ]
+    if sized:
+        warn_of_tools(scene, sized, file)
 
 
 def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
@@ -311,7 +275,7 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
     largest = float(np.abs(scene.pushes()).max())
     load = largest / (2 * stiffness * seen.thinness)
     if load < _WEAK:
-        if scene.motion is not None:
+        if any(tool.motion is not None for tool, _ in scene.surfaces):
             return
         what = "there is no pressure" if largest == 0 else "the pressure hardly moves the sheet"
         remedy = f"a sheet of this stiffness needs {stiffness * seen.thinness:.1g} Pa or more; give Pa"
@@ -329,11 +293,8 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, move
     ratio = seen.mold.size / (seen.sheet.size or 1.0)
     boxes = f"mold {seen.mold}, sheet {seen.sheet}"
     if not 1 / _ALIKE <= ratio <= _ALIKE:
-        scale = getattr(table, "scale", None)
-        guess, remedy = _units(ratio, scale, getattr(sheet_table, "scale", None))
-        times = f"{ratio:.3g} times the sheet" if ratio > 1 else f"{1 / ratio:.3g} times smaller than the sheet"
-        key = "mold" if scale is None else "mold.scale"
-        warn_of(f"the mold is {times}{guess} ({boxes})", remedy, key=key, value=scale, file=file)
+        scales = getattr(table, "scale", None), getattr(sheet_table, "scale", None)
+        _tell_of_size("mold", "mold", ratio, *scales, boxes, file)
     elif moves:
         return
     elif not seen.changes_sign and (seen.exposed >= _EXPOSED or (seen.ahead < _HARDLY <= seen.behind)):
@@ -343,6 +304,27 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, move
         warn_of(what, "move the mold (mold.translate)", key="mold", file=file)
     elif not seen.changes_sign and seen.overlap is not None and seen.bare is not None:
         _warn_of_bare(seen, seen.overlap, *seen.bare, file)
+
+
+def _warn_of_size(seen: Survey, tool: Mold, scale: float | None, sheet_scale: float | None, file: str) -> bool:
+    """Warns of a tool that seems to be in other units; a plug may be small. True if it does."""
+    box = _box(np.asarray(tool.vertices, float))
+    ratio = box.size / (seen.sheet.size or 1.0)
+    if 1 / _SMALL <= ratio <= _ALIKE:
+        return False
+    boxes = f"tool {box}, sheet {seen.sheet}"
+    _tell_of_size(f"tool {tool.name}", f"tool.{tool.name}", ratio, scale, sheet_scale, boxes, file)
+    return True
+
+
+def _tell_of_size(
+    words: str, key: str, ratio: float, scale: float | None, sheet_scale: float | None, boxes: str, file: str
+) -> None:
+    """Warns of a mold or tool that is so many times as large as the sheet."""
+    guess, remedy = _units(ratio, scale, sheet_scale)
+    times = f"{ratio:.3g} times the sheet" if ratio > 1 else f"{1 / ratio:.3g} times smaller than the sheet"
+    key = key if scale is None else f"{key}.scale"
+    warn_of(f"the {words} is {times}{guess} ({boxes})", remedy, key=key, value=scale, file=file)
 
 
 def _warn_of_bare(seen: Survey, overlap: float, radius: float, middle: Array, file: str) -> None:

@@ -15,6 +15,7 @@ from jaxform.results import sections
 from jaxform.results.part import restrict_to_part
 from jaxform.results.result import Result
 from jaxform.tools.crossings import nodal_normals
+from jaxform.tools.mold import Mold
 from jaxform.tools.search import split_long_triangles
 
 Array = NDArray[np.float64]
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 SHEET = "#5b9bd5"
 _GREY, _MOLD_SHARE = 0.62, 0.55  # of the mold, and how much of it the paper lets through
 _COVER_SHARE, _SHEET_SHARE = 0.15, 0.5  # the same of covers of its holes; and of a sheet over it, before the run
+_TOOL_SHARE = 0.3  # the same of tools besides the mold
+_TOOL_COLORS = ("#b5651d", "#7b4fa3", "#2e8b57", "#c2185b")
 _MOLD_LINES = 2000  # triangles, above which a mold's outline is not drawn
 _MOLD_PIECES = 20  # of its size, along a large triangle of the mold
 _FLAT = 1e-3  # of the sheet's size: one that is as flat has a side that faces the mold
@@ -48,8 +51,9 @@ def part_view(
     part = DrawnSurface(np.concatenate(images), wall, edges=edges)
     mold, outline = _mold(scene, part.faces)
     place = None if mark is None else 1e3 * np.asarray(mark)
-    turned = not sections.symmetry_planes(scene)
-    return View([*mold, part], outline, _hangs(scene, result), turned, scale, place)
+    turned, hangs = not sections.symmetry_planes(scene), _hangs(scene, result)
+    behind, before = _tools(scene, part.faces, hangs, _TOOL_SHARE)
+    return View([*mold, *behind, part, *before], outline, hangs, turned, scale, place)
 
 
 def sheet_view(scene: Scene, covers: NDArray[np.bool_] | None = None) -> View:
@@ -66,7 +70,9 @@ def sheet_view(scene: Scene, covers: NDArray[np.bool_] | None = None) -> View:
     mold, outline = _mold(scene, faces, whole=True)
     if covers is not None and mold:
         mold = _split_covers(mold[0], covers)
-    return View([*mold, sheet], outline, hangs_before(scene), hangs_before(scene))
+    hangs = hangs_before(scene)
+    behind, before = _tools(scene, faces, hangs, _SHEET_SHARE)
+    return View([*mold, *behind, sheet, *before], outline, hangs, hangs)
 
 
 def _split_covers(mold: DrawnSurface, covers: NDArray[np.bool_]) -> list[DrawnSurface]:
@@ -77,10 +83,10 @@ def _split_covers(mold: DrawnSurface, covers: NDArray[np.bool_]) -> list[DrawnSu
 
 
 def hangs_before(scene: Scene) -> bool:
-    """True if a sheet that a moving mold meets is drawn with z down, so that a buck stands up below it."""
+    """True if a sheet that a moving mold or tools meet is drawn with z down: a buck is below it, and a plug above."""
     corners = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
     along = nodal_normals(*corners)[:, 2].sum() * scene.strongest_push()
-    return bool(scene.motion is not None and along > 0)
+    return bool((scene.motion is not None or scene.tools) and along > 0)
 
 
 def mirror_points(scene: Scene, points: Array, open_front: bool = False) -> list[Array]:
@@ -112,7 +118,7 @@ def _hangs(scene: Scene, result: Result) -> bool:
     """
     start = np.asarray(scene.parison.positions, float)
     rise = (np.asarray(result.positions, float) - start)[:, 2].mean()
-    if scene.mold is not None and np.ptp(start[:, 2]) <= _FLAT * np.ptp(start, axis=0).max():
+    if scene.surfaces and np.ptp(start[:, 2]) <= _FLAT * np.ptp(start, axis=0).max():
         along = nodal_normals(start, np.asarray(scene.parison.triangles))[:, 2].sum() * scene.strongest_push()
         return bool(along > 0 if along else rise < 0)
     return bool(np.asarray(scene.parison.clamped).any() and rise > 0 and sections.symmetry_planes(scene))
@@ -120,18 +126,11 @@ def _hangs(scene: Scene, result: Result) -> bool:
 
 def _mold(scene: Scene, part: Array, whole: bool = False) -> tuple[list[DrawnSurface], Array | None]:
     """The mold and its outline behind a part (n, 3, 3) [mm], unless it is so large that nothing else would be seen."""
-    if scene.mold is None:
+    if scene.mold is None or (_is_too_large(scene.mold, part) and not whole):
         return [], None
     vertices, triangles = np.asarray(scene.mold.vertices, float), np.asarray(scene.mold.triangles)
-    size = 1e3 * float(np.ptp(vertices[np.unique(triangles)], axis=0).max())
-    if size > _TOO_LARGE * float(np.ptp(part, axis=(0, 1)).max()) and not whole:
-        return [], None
     walls, planes = vertices[triangles], sections.symmetry_planes(scene)
-    tolerance = 1e-6 * size / 1e3
-    crosses = all(
-        walls[..., k].min() < level - tolerance and walls[..., k].max() > level + tolerance
-        for k, level in planes.items()
-    )
+    crosses = _crosses_planes(scene, walls)
     opened = None
     if crosses and len(planes) == 2 and not whole:
         (one, at), (other, there) = planes.items()
@@ -139,11 +138,58 @@ def _mold(scene: Scene, part: Array, whole: bool = False) -> tuple[list[DrawnSur
     images = [walls] if crosses else mirror_points(scene, walls, open_front=not whole)
     faces = 1e3 * np.concatenate(images)
     if opened is not None:
-        faces = split_long_triangles(faces, size / _MOLD_PIECES)[0]
+        faces = split_long_triangles(faces, _size(scene.mold) / _MOLD_PIECES)[0]
     outline = None
     if opened is None and len(triangles) <= _MOLD_LINES:
         outline = _outline(scene, vertices, triangles, crosses)
     return [DrawnSurface(faces, np.full((len(faces), 3), _GREY), _MOLD_SHARE, open_at=opened)], outline
+
+
+def _size(tool: Mold) -> float:
+    """Longest side of the box of a mold or tool [mm]."""
+    used = np.asarray(tool.vertices, float)[np.unique(np.asarray(tool.triangles))]
+    return 1e3 * float(np.ptp(used, axis=0).max())
+
+
+def _is_too_large(tool: Mold, part: Array) -> bool:
+    """True if of a part (n, 3, 3) [mm] nothing would be seen beside a mold or tool."""
+    return _size(tool) > _TOO_LARGE * float(np.ptp(part, axis=(0, 1)).max())
+
+
+def _crosses_planes(scene: Scene, walls: Array) -> bool:
+    """True if triangles (n, 3, 3) [m] of a mold or tool lie on both sides of all symmetry planes: it is a whole one."""
+    tolerance = 1e-6 * float(np.ptp(walls, axis=(0, 1)).max())
+    return all(
+        walls[..., k].min() < level - tolerance and walls[..., k].max() > level + tolerance
+        for k, level in sections.symmetry_planes(scene).items()
+    )
+
+
+def tool_faces(scene: Scene, tool: Mold) -> Array:
+    """The triangles (n, 3, 3) [m] of a tool, with their images in symmetry planes unless it is a whole one."""
+    walls = np.asarray(tool.vertices, float)[np.asarray(tool.triangles)]
+    return walls if _crosses_planes(scene, walls) else np.concatenate(mirror_points(scene, walls))
+
+
+def _tools(scene: Scene, part: Array, hangs: bool, share: float) -> tuple[list[DrawnSurface], list[DrawnSurface]]:
+    """The tools besides the mold behind a part (n, 3, 3) [mm], and those in front of it, which let it show through."""
+    behind: list[DrawnSurface] = []
+    before: list[DrawnSurface] = []
+    level = part[..., 2].mean()
+    for tool, color in zip(scene.tools, tool_colors(len(scene.tools)), strict=True):
+        if _is_too_large(tool, part):
+            continue
+        faces = 1e3 * tool_faces(scene, tool)
+        paint = np.tile(np.array([*bytes.fromhex(color[1:])]) / 255, (len(faces), 1))
+        is_above = faces[..., 2].mean() > level
+        surface = DrawnSurface(faces, paint, share)
+        (before if is_above != hangs else behind).append(surface)
+    return behind, before
+
+
+def tool_colors(count: int) -> list[str]:
+    """Colours of tools besides the mold, in all pictures."""
+    return [_TOOL_COLORS[k % len(_TOOL_COLORS)] for k in range(count)]
 
 
 def _outline(scene: Scene, vertices: Array, triangles: NDArray[Any], crosses: bool) -> Array:

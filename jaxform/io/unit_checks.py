@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
+from jaxform.io.tool_checks import motion_key, words_of
 from jaxform.materials import Cooling
 from jaxform.materials.shift import Wlf
 from jaxform.model.scene import Scene
@@ -83,16 +84,17 @@ def _warn_of_surroundings(cooling: Cooling, temperature: np.ndarray, file: str) 
 
 
 def _warn_of_motion(scene: Scene, file: str) -> None:
-    """Warns of a mold that is faster than waves in the sheet."""
-    if scene.motion is None:
-        return
-    speed = scene.motion.mean_speeds().max()
-    wave = float(np.sqrt(_WAVE * scene.law.stiffness_at_once().mean() / scene.material.density.mean()))
-    if speed > wave:
-        problem = f"the mold moves at {speed:.3g} m/s, faster than waves in the sheet ({wave:.3g} m/s)"
-        remedy = "give s and m, or move it more slowly"
-        time = np.asarray(scene.motion.time, float).tolist()
-        warn_of(problem, remedy, key="mold.motion.time", value=time, file=file)
+    """Warns of a mold or tool that is faster than waves in the sheet."""
+    for tool, _ in scene.surfaces:
+        if tool.motion is None:
+            continue
+        speed = tool.motion.mean_speeds().max()
+        wave = float(np.sqrt(_WAVE * scene.law.stiffness_at_once().mean() / scene.material.density.mean()))
+        if speed > wave:
+            problem = f"{words_of(tool)[0]} moves at {speed:.3g} m/s, faster than waves in the sheet ({wave:.3g} m/s)"
+            remedy = "give s and m, or move it more slowly"
+            time = np.asarray(tool.motion.time, float).tolist()
+            warn_of(problem, remedy, key=motion_key(tool, "time"), value=time, file=file)
 
 
 # The unit of length of a mold's file, guessed from its size.

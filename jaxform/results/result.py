@@ -368,10 +368,11 @@ def _added_mass(scene: Scene, now: Discretization, mesh: RefinedMesh | None) -> 
 def drop_unused(scene: Scene, result: Result) -> tuple[Scene, Result]:
     """The part with existing nodes and elements only, for pictures and files: drops unused capacity, on the host.
 
-    A moving mold is at its position at that time.
+    A moving mold, and moving tools, are at their positions at that time.
     """
-    if scene.mold is not None:
-        scene = dataclasses.replace(scene, mold=scene.mold.at(float(result.time)))
+    if scene.surfaces:
+        mold, tools = scene.mold, tuple(tool.at(float(result.time)) for tool in scene.tools)
+        scene = dataclasses.replace(scene, mold=None if mold is None else mold.at(float(result.time)), tools=tools)
     if scene.refinement is None:
         return scene, result
     active, used = np.asarray(result.active), np.asarray(result.used)

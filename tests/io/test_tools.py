@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -11,9 +12,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image
 
 import jaxform
-from jaxform.io import files, scene_rewriting
+from jaxform.cli import check_command
+from jaxform.core import errors
+from jaxform.core.store import Store
+from jaxform.io import files, plots, scene_rewriting, tool_checks
 from jaxform.mesh import meshes
 from jaxform.sweeps import designs
 from jaxform.tools import molds
@@ -164,6 +169,72 @@ def test_studies_name_numbers_of_tools_as_the_file_does() -> None:
     )
     with pytest.raises(jaxform.InputError, match=words):
         Scale(scene, of="tool.pug.friction", bounds=(0.5, 2.0))
+
+
+CUP = {"shape": "revolved", "profile": [[0.0, 0.05], [0.07, 0.05], [0.1, 0.0]], "segments": 48}
+
+
+@pytest.mark.parametrize(
+    ("tools", "words"),
+    [
+        ([PLUG], []),
+        ([_plug(displacement=[0.0, 0.06])], ["tool.plug: meets the mold at 0.0387 s, near "]),
+        (
+            [_plug(translate=[0.0, 0.0, -0.02], displacement=[0.0, 0.015])],
+            ["tool.plug: never reaches the sheet: .*farther"],
+        ),
+        ([_plug(direction=[0.0, 0.0, -1.0])], ["tool.plug: never reaches the sheet: .* reverse tool.plug.direction"]),
+        ([_plug(translate=[0.026, 0.003, 0.01], radius=5e-4, segments=6)], ["tool.plug: starts in the sheet, near "]),
+        (
+            [_plug(radius=20.0, length=50.0, translate=[0.0, 0.0, -0.5])],
+            ["tool.plug: the tool plug is 250 times .*milli"],
+        ),
+        ([_plug(time=[0.0, 1e-4])], ["tool.plug.time = .*: the tool plug moves at 300 m/s, faster than waves"]),
+        (
+            [PLUG, _plug(name="stop", translate=[0.01, 0.0, -0.001], direction=None, time=None, displacement=None)],
+            ["tool.stop: meets the tool plug at the start, near "],
+        ),
+        # Two that move side by side, and one that follows another, do not meet.
+        ([PLUG, _plug(name="ring", shape="plate", length=None, translate=[0.0, 0.0, -0.1])], []),
+    ],
+)
+def test_check_warns_of_tools(tools: Any, words: list[str]) -> None:
+    document = _document(tools, mold={**CUP, "fill": False})
+    scene = files.build_unchecked(document)
+    told: list[str] = []
+    with errors.redirect_warnings(told.append):
+        files.review_scene(scene, document)
+    assert len(told) == len(words), told
+    for text, expected in zip(told, words, strict=True):
+        assert re.match(f"s.toml: {expected}", text), text
+
+
+def test_tools_meet_where_they_do() -> None:
+    scene = files.build_unchecked(_document([_plug(displacement=[0.0, 0.06])], mold=CUP))
+    (meeting,) = tool_checks.find_meetings(scene)
+    assert meeting.one is scene.mold and meeting.other is scene.tools[0]
+    reached = -0.001 + float(meeting.other.motion.offset(jnp.asarray(meeting.time))[2])  # pyright: ignore
+    # The tip is in the bottom of the cup at that time, and one compared time earlier it was not.
+    assert 0.05 < reached < 0.053
+    np.testing.assert_allclose(meeting.place[2], 0.05, atol=2e-3)
+
+
+def test_check_tells_of_tools_and_draws_them(tmp_path: Path) -> None:
+    document = _document([_plug(time=[0.0, 0.02, 0.04], displacement=[0.0, 0.04, 0.01])], mold=CUP)
+    scene = files.build_unchecked(document)
+    lines = list(check_command.scene_lines(document, scene, Store()))
+    assert "tool plug: 1248 triangles; -0.02 to 0.02 x -0.02 to 0.02 x -0.051 to -0.001 m" in lines
+    way = "by 0.04 m at 0.02 s, 0.01 m at 0.04 s"
+    law = "nodes on it slide with friction (coulomb, friction 0.2)"
+    assert f"the tool plug moves along (0, 0, 1), {way}; {law}" in lines
+    assert not any(line.startswith("skipped") and "contact" in line for line in lines)
+    drawn = {name: faces for name, *_, faces in plots._tool_lines(scene)}
+    assert list(drawn) == ["mold", "plug", "plug, farthest", "plug at the end"]
+    tips = [faces[..., 2].max() for faces in drawn.values()]
+    np.testing.assert_allclose(tips, [0.05, -0.001, 0.039, 0.009], atol=1e-12)
+    plots.check_picture(tmp_path / "check.png", scene)
+    with Image.open(tmp_path / "check.png") as picture:
+        assert picture.size == (1600, 750)
 
 
 def test_sweeps_name_tools() -> None:

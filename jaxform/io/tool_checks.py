@@ -1,0 +1,215 @@
+"""Checks of tools before a run: what they meet, whether they reach the sheet and start outside it, their units."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import format_place, warn_of
+from jaxform.core.pytree import as_real
+from jaxform.mesh import topology
+from jaxform.model.scene import ContactSurface, Scene
+from jaxform.tools.crossings import proper_crossings
+from jaxform.tools.distances import Distances
+from jaxform.tools.mold import Mold, make_mold
+from jaxform.tools.search import build_grid
+
+Array = NDArray[np.float64]
+
+_NEAR = 1e-4  # of the sheet's size: a tool that touches it at first may well pull it along
+_SAME = 1e-3  # of a distance: one that is as much less is nearer
+_FARTHER = 0.02  # of the sheet's size, that a tool moves off
+_TIMES = 21  # times at which the distance of a tool from the sheet is measured
+_MOST_PLACES = 5000  # vertices of a tool whose distance from the sheet is measured
+_MEETINGS = 41  # times, besides the knots of motions, at which two tools are compared
+_BEHIND = 1e-3  # of the sheet's size: as near as that to its surface a place is on neither side
+
+
+def words_of(tool: Mold) -> tuple[str, str]:
+    """What messages call a mold or tool, and the key of its table in scene files."""
+    return (f"the tool {tool.name}", f"tool.{tool.name}") if tool.name else ("the mold", "mold")
+
+
+def motion_key(tool: Mold, name: str) -> str:
+    """The key of a number of a mold's or tool's motion in scene files."""
+    return f"tool.{tool.name}.{name}" if tool.name else f"mold.motion.{name}"
+
+
+def offsets_of(tool: Mold, times: Array) -> Array:
+    """Displacements (n, 3) [m] of a tool at times (n,) [s]."""
+    if tool.motion is None:
+        return np.zeros((len(times), 3))
+    return np.asarray(jax.vmap(tool.motion.offset)(as_real(times)), float)
+
+
+def end_of_way(scene: Scene, tool: Mold) -> float:
+    """The time [s] from which on a tool rests, at most that at which the run ends."""
+    end = float(scene.solver.end_time)
+    return 0.0 if tool.motion is None else min(end, float(np.asarray(tool.motion.time)[-1]))
+
+
+def warn_of_tools(scene: Scene, tools: Sequence[Mold], file: str = "") -> None:
+    """Warns of some of a scene's tools that start in the sheet or never reach it, and of all that meet another one."""
+    for tool in tools:
+        _warn_of_start(scene, tool, file)
+        _warn_of_reach(scene, tool, file)
+    for meeting in find_meetings(scene):
+        one, other = meeting.one, meeting.other
+        when = "at the start" if meeting.time == 0.0 else f"at {meeting.time:.3g} s"
+        problem = f"meets {words_of(one)[0]} {when}, near {format_place(meeting.place)}: they pass through each other"
+        key = words_of(other)[1]
+        remedy = f"change its way ({motion_key(other, 'displacement')}) or its place ({key}.translate)"
+        warn_of(problem, remedy, key=key, file=file)
+
+
+class Meeting(NamedTuple):
+    """Two tools that pass through each other.
+
+    Attributes:
+        one: The mold or tool that comes first in the scene.
+        other: The other one.
+        time: The first of the compared times at which they do [s].
+        place: A place where they do (3,) [m].
+    """
+
+    one: Mold
+    other: Mold
+    time: float
+    place: Array
+
+
+def find_meetings(scene: Scene) -> list[Meeting]:
+    """The pairs of a scene's tools, the mold included, that pass through each other before the run ends."""
+    found = (_find_meeting(scene, *pair) for pair in itertools.combinations(scene.surfaces, 2))
+    return [meeting for meeting in found if meeting is not None]
+
+
+def _find_meeting(scene: Scene, one: ContactSurface, other: ContactSurface) -> Meeting | None:
+    end, motions = float(scene.solver.end_time), (one.mold.motion, other.mold.motion)
+    times = [np.zeros(1)]
+    for motion in filter(None, motions):
+        knots = np.asarray(motion.time, float)
+        times += [np.linspace(0.0, min(end, float(knots[-1])), _MEETINGS), knots[(knots > 0.0) & (knots <= end)]]
+    compared = np.unique(np.concatenate(times))
+    ways = [offsets_of(tool.mold, compared) for tool in (one, other)]
+    for time, at, there in zip(compared, *ways, strict=True):
+        for edged, crossed, here, opposite in ((one, other, at, there), (other, one, there, at)):
+            place = _crossing(edged, crossed, here - opposite)
+            if place is not None:
+                return Meeting(one.mold, other.mold, float(time), place + opposite)
+    return None
+
+
+def _crossing(edged: ContactSurface, crossed: ContactSurface, shift: Array) -> Array | None:
+    """Middle (3,) [m] of an edge of a tool, moved by a shift (3,) [m], that crosses another tool; None without one.
+
+    Both are in the frame of that other tool.
+    """
+    vertices = np.asarray(edged.mold.vertices, float) + shift
+    there = np.asarray(crossed.mold.vertices, float)
+    ends = vertices[topology.edges(np.asarray(edged.mold.triangles))[0]]
+    beside = (ends.max(1) < there.min(0)) | (ends.min(1) > there.max(0))
+    ends = ends[~beside.any(1)]
+    if not len(ends):
+        return None
+    hit, _ = proper_crossings(ends[:, 0], ends[:, 1], crossed.mold, crossed.grid)
+    return ends[hit[0]].mean(0) if len(hit) else None
+
+
+def _used_places(scene: Scene) -> Array:
+    """Places (n, 3) [m] of the sheet's nodes before the run."""
+    return np.asarray(scene.parison.positions, float)[np.unique(np.asarray(scene.parison.triangles))]
+
+
+def _warn_of_start(scene: Scene, tool: Mold, file: str) -> None:
+    """Warns of a tool that starts in an element; building a scene refuses one that crosses sides of elements."""
+    positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    sheet = make_mold(positions, triangles)
+    grid = build_grid(np.asarray(sheet.vertices, float), np.asarray(sheet.triangles))
+    edge = topology.edges(np.asarray(tool.triangles))[0]
+    ends = np.asarray(tool.vertices, float)[edge]
+    hit, _ = proper_crossings(ends[:, 0], ends[:, 1], sheet, grid)
+    if len(hit):
+        key, where = words_of(tool)[1], format_place(ends[hit[0]].mean(0))
+        warn_of(f"starts in the sheet, near {where}", f"move it ({key}.translate)", key=key, file=file)
+
+
+def _warn_of_reach(scene: Scene, tool: Mold, file: str) -> None:
+    """Warns of a tool that the sheet cannot meet: it is behind the sheet, where nothing pushes the sheet, all the time.
+
+    Where the pressure changes sign, gravity acts or another tool moves, the sheet may well come to it.
+    """
+    pushes = np.asarray(scene.pushes(), float)
+    others_move = any(one.mold.motion is not None for one in scene.surfaces if one.mold is not tool)
+    if others_move or scene.solver.gravity is not None or (pushes.min() < 0.0 < pushes.max()):
+        return
+    places = _used_places(scene)
+    size = float(np.ptp(places, axis=0).max())
+    away, behind = _ways_from_sheet(scene, tool)
+    if min(away) <= _NEAR * size or not (behind or not np.any(pushes)):
+        return
+    _, key = words_of(tool)
+    side = "on the side from which the pressure pushes the sheet away, " if np.any(pushes) else ""
+    remedy = f"move it nearer ({key}.translate), or farther along its way ({motion_key(tool, 'displacement')})"
+    if _moves_off(away, size):
+        remedy = f"reverse {motion_key(tool, 'direction')}, or move it to the other side of the sheet ({key}.translate)"
+    warn_of(f"never reaches the sheet: it stays {side}{min(away):.3g} m from it or more", remedy, key=key, file=file)
+
+
+def _ways_from_sheet(scene: Scene, tool: Mold) -> tuple[list[float], bool]:
+    """Distances [m] of a tool from the initial sheet at times evenly from 0 to the end of its way.
+
+    Also whether it is on the side opposite to the push in all of them.
+    """
+    positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    sheet, vertices = _used_places(scene), np.asarray(tool.vertices, float)[np.unique(np.asarray(tool.triangles))]
+    vertices = vertices[:: 1 + len(vertices) // _MOST_PLACES]
+    size = float(np.ptp(np.concatenate([sheet, tool.where_it_turns()]), axis=0).max())
+    of_tool, of_sheet = Distances(tool.vertices, tool.triangles, size), Distances(positions, triangles, size)
+    corners = positions[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal *= (-1.0 if scene.strongest_push() < 0 else 1.0) / np.linalg.norm(normal, axis=1, keepdims=True)
+    away, behind = [], True
+    times = np.linspace(0.0, end_of_way(scene, tool), _TIMES if tool.motion is not None else 1)
+    for shift in offsets_of(tool, times):
+        nearest = of_tool.upper_bounds(sheet - shift).min(), of_sheet.upper_bounds(vertices + shift).min()
+        away.append(float(min(nearest)))
+        heights = heights_above(vertices + shift, corners.mean(1), normal)
+        behind = behind and bool(np.all(heights < -_BEHIND * float(np.ptp(sheet, axis=0).max())))
+    return away, behind
+
+
+def heights_above(points: Array, middle: Array, unit: Array) -> Array:
+    """Signed distances [m] of points (n, 3) [m] in front of the nearest elements with these centroids and normals."""
+    from scipy.spatial import KDTree  # takes a tenth of a second to import
+
+    nearest = KDTree(middle).query(points, workers=-1)[1]
+    return np.einsum("ij,ij->i", points - middle[nearest], unit[nearest])
+
+
+def _moves_off(away: list[float], size: float) -> bool:
+    """True of distances [m] of a tool that is not near the sheet at first, and then only moves away from it."""
+    farther = min(away) >= (1 - _SAME) * away[0] and away[-1] > away[0] + _FARTHER * size
+    return farther and away[0] > _NEAR * size
+
+
+def warn_of_motion(scene: Scene, file: str) -> None:
+    """Warns of a mold that moves away from a sheet which it is not near to, and never comes nearer."""
+    if scene.mold is None or scene.motion is None:
+        return
+    away = _ways_from_sheet(scene, scene.mold)[0]
+    if not _moves_off(away, float(np.ptp(np.asarray(scene.parison.positions, float), axis=0).max())):
+        return
+    ends = f"{away[0]:.3g} m from the sheet at first, {away[-1]:.3g} m at {end_of_way(scene, scene.mold):.3g} s"
+    warn_of(
+        f"the mold moves, but not towards the sheet: {ends}",
+        "reverse mold.motion.direction, or move the mold to the other side of the sheet (mold.translate)",
+        key="mold.motion.direction",
+        value=np.asarray(scene.motion.direction, float).tolist(),
+        file=file,
+    )
