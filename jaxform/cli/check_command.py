@@ -198,7 +198,9 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     steps_each = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
     windows = f"at most {scene.tables.window_count} windows of {steps_each} steps"
     yield f"to {end:.4g} s, first step about {step:.3g} s, {windows}"
-    steps = end / step + sum(window_budget.tool_steps(tool.motion, grid, end, step) for tool, grid in scene.surfaces)
+    steps = end / step + sum(
+        window_budget.tool_steps(each.mold.motion, each.grid, end, step) for each in scene.surfaces
+    )
     seconds = steps * (_PER_STEP + elements * _PER_ELEMENT)
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
     most = "up to " if scene.refinement is not None else ""

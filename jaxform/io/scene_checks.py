@@ -275,7 +275,7 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
     largest = float(np.abs(scene.pushes()).max())
     load = largest / (2 * stiffness * seen.thinness)
     if load < _WEAK:
-        if any(tool.motion is not None for tool, _ in scene.surfaces):
+        if scene.moves:
             return
         what = "there is no pressure" if largest == 0 else "the pressure hardly moves the sheet"
         remedy = f"a sheet of this stiffness needs {stiffness * seen.thinness:.1g} Pa or more; give Pa"

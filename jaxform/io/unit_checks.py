@@ -85,7 +85,7 @@ def _warn_of_surroundings(cooling: Cooling, temperature: np.ndarray, file: str) 
 
 def _warn_of_motion(scene: Scene, file: str) -> None:
     """Warns of a mold or tool that is faster than waves in the sheet."""
-    for tool, _ in scene.surfaces:
+    for tool in (surface.mold for surface in scene.surfaces):
         if tool.motion is None:
             continue
         speed = tool.motion.mean_speeds().max()
