@@ -148,7 +148,7 @@ def _progress_words(row: dict[str, Any]) -> str:
 
 
 def _write_design(arguments: argparse.Namespace, study: Any, design: Any, reference: dict[str, Any] | None) -> None:
-    from jaxform.io import output, plots, scene_rewriting
+    from jaxform.io import output, plots, process, scene_rewriting
 
     folder: Path = arguments.out
     scene_rewriting.write_scene(study.document, design.changes, folder)
@@ -156,9 +156,11 @@ def _write_design(arguments: argparse.Namespace, study: Any, design: Any, refere
 
     def write_rest() -> None:
         output.write_part(design.first_scene, design.first_result, folder / "start.vtu")
+        process.write_process(history, folder)
         session.write_report(folder)
 
-    picture = session.picture(arguments, design.scene, design.result, exact)
+    history = process.process_history(design.scene, design.result)
+    picture = session.picture(arguments, design.scene, design.result, exact, history)
     session.write_part(arguments, design.scene, design.result, picture, design.amended, then=write_rest)
     plots.convergence_picture(folder / "convergence.png", design.history)
     before, after = (design.first_scene, design.first_result), (design.scene, design.result)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from jaxform.core.store import Store
+    from jaxform.io.process import ProcessHistory
     from jaxform.model.scene import Scene
     from jaxform.results.result import Result
 
@@ -152,13 +153,15 @@ def picture(
     scene: Scene,
     result: Result,
     reference: dict[str, Any] | None,
+    history: ProcessHistory | None = None,
     draw: DirectCaller | None = None,
 ) -> PendingCall:
-    """The picture of a part, which is being drawn where there is a process for it."""
-    from jaxform.io import canvas, plots
+    """The pictures of a part and its process, which are being drawn where there is another process for it."""
+    from jaxform.io import canvas, plots, process
 
-    part = plots.part_picture(scene, result, reference)
-    return (draw or DirectCaller()).start_call(canvas.draw_part, arguments.out / "thickness.png", part)
+    part = arguments.out / "thickness.png", plots.part_picture(scene, result, reference)
+    over_time = None if history is None else (arguments.out / process.PICTURE, process.process_picture(scene, history))
+    return (draw or DirectCaller()).start_call(canvas.draw_pictures, part, over_time)
 
 
 def write_part(

@@ -25,7 +25,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         source = arguments.source
         subject = os.path.abspath(source) if disk.is_file(Path(source)) else source
         say, store = session.prepare(arguments, subject)
-        from jaxform.io import files, scene_rewriting
+        from jaxform.io import files, process, scene_rewriting
         from jaxform.io.output import Frames
         from jaxform.runs import loop
 
@@ -41,18 +41,21 @@ def simulate(arguments: argparse.Namespace) -> int:
         # Warnings of the run come after those of the scene, whichever ends first.
         with defer_warnings(), look as looked:
             result, there = _run(scene, frames, arguments, store)
-            picture = session.picture(arguments, scene, result, reference, draw)
+            history = process.process_history(scene, result)
+            picture = session.picture(arguments, scene, result, reference, history, draw)
             store.record_programs(subject)
         looked.result()
 
         def write_rest() -> None:
             scene_rewriting.keep_scene(document, arguments.out)
             frames.finish(scene, result)
+            process.write_process(history, arguments.out)
             with session.report_waiting(arguments, "writing the report"):
                 session.write_report(arguments.out)
 
         summary = session.write_part(arguments, scene, result, picture, then=write_rest, there=there)
-    _tell(say, summary, arguments.out)
+    touched = "the mold" if not scene.tools else "mold and tools" if scene.mold is not None else "tools"
+    _tell(say, summary, arguments.out, touched)
     return session.exit_status(result)
 
 
@@ -108,7 +111,7 @@ def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store)
     return result, there
 
 
-def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> None:
+def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path, touched: str) -> None:
     from jaxform.core.errors import format_place
 
     wall = {key: 1e3 * summary["thickness"][key] for key in ("min", "mean", "max")}
@@ -118,8 +121,8 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
     )
     say(
         f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, coefficient of variation "
-        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % in contact with the "
-        f"mold; energy balance within {100 * summary['energy']['balance_error']:.2g} %"
+        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % in contact with "
+        f"{touched}; energy balance within {100 * summary['energy']['balance_error']:.2g} %"
     )
     say(_thinnest(summary["thinnest"]))
     if summary["gap_max"] > summary["thickness"]["mean"]:

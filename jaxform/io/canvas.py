@@ -43,6 +43,101 @@ class PartPicture(NamedTuple):
     across: str
 
 
+class ProcessPicture(NamedTuple):
+    """A process over time.
+
+    Attributes:
+        title: Title of the picture.
+        time: Times (n,) [s].
+        pressure: Pressure (n,) [Pa].
+        displacements: Displacements (n,) [m] of tools that move, by name.
+        contact: Shares (n,) of the formed area in contact with each tool, by name.
+        colors: Colours of the tools, by name.
+        moves: Begin and end [s] of the spans in which a tool moves, by its name.
+    """
+
+    title: str
+    time: Array
+    pressure: Array
+    displacements: dict[str, Array]
+    contact: dict[str, Array]
+    colors: dict[str, str]
+    moves: dict[str, list[tuple[float, float]]]
+
+
+def draw_process(path: str | Path, process: ProcessPicture) -> None:
+    """Draws the picture of a process as PNG: panels for pressure, displacements and contact over one axis of time."""
+    panels = [_draw_pressure, *([_draw_displacements] if process.displacements else [])]
+    panels += [_draw_contact] if process.contact else []
+    figure = new_figure(11, 1.2 + 2.4 * len(panels), process.title)
+    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    unit, words = (1e3, "ms") if process.time[-1] < _SHORT else (1.0, "s")
+    for axes, panel in zip(grid, panels, strict=True):
+        for name, spans in process.moves.items():
+            for begin, end in spans:
+                axes.axvspan(unit * begin, unit * end, color=process.colors[name], alpha=0.07, linewidth=0)
+        panel(axes, process, unit * process.time)
+        axes.grid(alpha=0.25)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.margins(x=0.0)
+    grid[-1].set_xlabel(f"time [{words}]")
+    figure.align_ylabels(grid)
+    figure.tight_layout()
+    with atomic_path(path) as fresh:
+        figure.savefig(fresh, dpi=_DPI, metadata={"Software": None})
+
+
+_SHORT = 0.2  # s: a shorter process is drawn over milliseconds
+_PRESSURE = "#0072b2"
+
+
+def _draw_pressure(axes: Any, process: ProcessPicture, time: Array) -> None:
+    largest = float(np.nanmax(np.abs(process.pressure), initial=0.0))
+    factor, unit = (1e-5, "bar") if largest >= 1e6 else (1e-3, "kPa") if largest >= 1e3 else (1.0, "Pa")
+    axes.plot(time, factor * process.pressure, color=_PRESSURE, linewidth=2)
+    axes.fill_between(time, 0.0, factor * process.pressure, color=_PRESSURE, alpha=0.12, linewidth=0)
+    axes.set_ylabel(f"pressure [{unit}]")
+    if np.nanmin(process.pressure, initial=0.0) >= 0.0:
+        axes.set_ylim(0.0, 1.12 * (factor * largest or 1.0))
+
+
+def _draw_displacements(axes: Any, process: ProcessPicture, time: Array) -> None:
+    for name, far in process.displacements.items():
+        axes.plot(time, 1e3 * far, color=process.colors[name], linewidth=2, label=name)
+    axes.axhline(0.0, color="#7f7f7f", linewidth=0.6)
+    axes.set_ylabel("displacement [mm]")
+    axes.margins(y=0.12)
+    axes.legend(frameon=False, loc="best")
+
+
+def _draw_contact(axes: Any, process: ProcessPicture, time: Array) -> None:
+    """The shares of all tools, one above the other; the upper edge is the contact fraction."""
+    names = list(process.contact)
+    shares = [100 * process.contact[name] for name in names]
+    total = np.sum(shares, axis=0)
+    colors = [process.colors[name] for name in names]
+    labels = [_contact_words(name, share) for name, share in zip(names, shares, strict=True)]
+    axes.stackplot(time, *shares, colors=colors, alpha=0.45, labels=labels, linewidth=0)
+    axes.plot(time, total, color="#303030", linewidth=1.2)
+    axes.set_ylabel("area in contact [%]")
+    axes.set_ylim(0.0, max(100.0, 1.02 * float(total.max())))
+    axes.legend(frameon=False, loc="upper left")
+
+
+def _contact_words(name: str, share: Array) -> str:
+    """Label of the share (n,) [%] of the area on a tool."""
+    last, most = float(share[-1]), float(share.max())
+    at_most = f", at most {most:.3g} %" if most > last + 0.1 else ""
+    return f"{name}: {last:.3g} % at the end{at_most}"
+
+
+def draw_pictures(part: tuple[Path, PartPicture], process: tuple[Path, ProcessPicture] | None) -> None:
+    """Draws the picture of a part and, where there is one, that of its process."""
+    draw_part(*part)
+    if process is not None:
+        draw_process(*process)
+
+
 def draw_part(path: str | Path, part: PartPicture) -> None:
     """Draws a picture of a formed part as PNG."""
     figure = new_figure(16, 7, part.title)

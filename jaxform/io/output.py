@@ -39,7 +39,7 @@ def write_result(
     *,
     there: bool = False,
 ) -> dict[str, Any]:
-    """Writes the part into a folder that exists: summary.json, final.vtu, formed.stl and, with a mold, mold.vtu.
+    """Writes the part into a folder that exists: summary.json, final.vtu, formed.stl, mold.vtu and tool_NAME.vtu.
 
     The files come first; measured values then complete the summary, so that nothing is lost by an interruption.
 
@@ -73,11 +73,23 @@ def write_at_once(
     shown, part = drop_unused(scene, result)
     with atomic_path(folder / "formed.stl") as fresh:
         meshes.write_stl(fresh, np.asarray(part.positions), np.asarray(shown.parison.triangles))
-    if scene.mold is None:
-        (folder / "mold.vtu").unlink(missing_ok=True)  # of what was here before
-    else:
-        with atomic_path(folder / "mold.vtu") as fresh:
-            meshes.write_vtu(fresh, scene.mold.vertices_at(float(result.time)), np.asarray(scene.mold.triangles))
+    tools = {file_stem(surface.mold): surface.mold for surface in scene.surfaces}
+    for stale in [folder / "mold.vtu", *folder.glob("tool_*.vtu")]:
+        if stale.stem not in tools:
+            stale.unlink(missing_ok=True)  # of what was here before
+    for stem, tool in tools.items():
+        _write_tool(tool, float(result.time), folder / f"{stem}.vtu")
+
+
+def file_stem(tool: Mold) -> str:
+    """Name of the files of a mold or tool, without its ending."""
+    return f"tool_{tool.name}" if tool.name else "mold"
+
+
+def _write_tool(tool: Mold, time: float, path: Path) -> None:
+    """Writes a mold or tool at its position at a time [s]."""
+    with atomic_path(path) as fresh:
+        meshes.write_vtu(fresh, tool.vertices_at(time), np.asarray(tool.triangles))
 
 
 def _write_summary(
@@ -103,7 +115,7 @@ def write_json(path: Path, facts: dict[str, Any]) -> None:
 
 
 def write_part(scene: Scene, result: Result, path: str | Path) -> None:
-    """Writes the part as a mesh with data: initial position, thicknesses, time of contact, stretches, level."""
+    """Writes the part as a mesh with data: initial position, thicknesses, contact time, tool, stretches, level."""
     scene, result = drop_unused(scene, result)
     stretches = np.asarray(result.stretches, float)
     point_data = {
@@ -111,6 +123,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         "thickness": np.asarray(result.thickness, float),
         "initial_thickness": np.asarray(scene.parison.thickness, float),
         "contact_time": np.asarray(result.contact_time, float),
+        "tool": np.asarray(result.tool, np.int32),
         **_temperature(scene.parison, len(result.thickness), result.temperature),
         **{name: np.asarray(values, float) for name, values in result.fields.items()},
     }
@@ -149,6 +162,7 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
             "thickness": thickness,
             "initial_thickness": thickness,
             "contact_time": np.where(np.asarray(parison.clamped)[:first], 0.0, -1.0),
+            "tool": _initial_tool(scene)[:first],
             **_temperature(parison, first),
             **{name: np.asarray(field.start(parison.positions), float)[:first] for name, field in scene.fields.items()},
         },
@@ -162,11 +176,21 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
     )
 
 
+def _initial_tool(scene: Scene) -> NDArray[np.int32]:
+    """The number of the tool that nodes touch before the first step (n_node,), as in `Scene.surfaces`; -1 for none."""
+    tables = scene.tables
+    count = len(scene.parison.positions)
+    if tables.initial_contact is None:
+        return np.full(count, -1, np.int32)
+    tool = np.zeros(count, np.int32) if tables.initial_tool is None else np.asarray(tables.initial_tool, np.int32)
+    return np.where(np.asarray(tables.initial_contact) != 0, tool, -1).astype(np.int32)
+
+
 @dataclass
 class Frames:
     """Writes frames of the part at even intervals, from the sheet before the first step to the end.
 
-    A single frame is that of the end. A moving mold is written at its position in each of them.
+    A single frame is that of the end. A mold and tools that move are written at their positions in each of them.
 
     Attributes:
         folder: Folder of frames.pvd, and of the folder of the frames.
@@ -208,22 +232,20 @@ class Frames:
             return
         if not self.times or self.times[-1] < float(result.time):
             write_part(scene, result, self._next(scene, float(result.time)))
+        moving = [self._list_frames(file_stem(tool)) for tool in _moving_tools(scene)]
         with atomic_path(self.folder / "frames.pvd") as fresh:
-            meshes.write_pvd(
-                fresh, self._list_frames("frame"), self._list_frames("mold") if _moving_mold(scene) else ()
-            )
+            meshes.write_pvd(fresh, self._list_frames("frame"), *moving)
 
     def _list_frames(self, what: str) -> list[tuple[float, str]]:
         return [(time, f"frames/{_name(what, index)}") for index, time in enumerate(self.times)]
 
     def _next(self, scene: Scene, time: float) -> Path:
-        """Path for the frame at a time [s]; writes that of a moving mold."""
+        """Path for the frame at a time [s]; writes those of tools that move."""
         folder, index = self.folder / "frames", len(self.times)
         folder.mkdir(exist_ok=True)
         self.times.append(time)
-        if mold := _moving_mold(scene):
-            with atomic_path(folder / _name("mold", index)) as fresh:
-                meshes.write_vtu(fresh, mold.vertices_at(time), np.asarray(mold.triangles))
+        for tool in _moving_tools(scene):
+            _write_tool(tool, time, folder / _name(file_stem(tool), index))
         return folder / _name("frame", index)
 
 
@@ -231,9 +253,9 @@ def _name(what: str, index: int) -> str:
     return f"{what}_{index:04d}.vtu"
 
 
-def _moving_mold(scene: Scene) -> Mold | None:
-    """The mold of a scene, if it moves."""
-    return scene.mold if scene.mold is not None and scene.mold.motion is not None else None
+def _moving_tools(scene: Scene) -> list[Mold]:
+    """The mold and the tools of a scene that move."""
+    return [surface.mold for surface in scene.surfaces if surface.mold.motion is not None]
 
 
 def _valid(value: Any) -> Any:

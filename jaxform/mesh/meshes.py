@@ -215,17 +215,17 @@ def write_stl(path: str | Path, positions: ArrayLike, triangles: ArrayLike) -> N
     Path(path).write_bytes(head + len(facets).to_bytes(4, "little") + facets.tobytes())
 
 
-def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]], beside: Sequence[tuple[float, str]] = ()) -> None:
+def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]], *beside: Sequence[tuple[float, str]]) -> None:
     """Writes the list of frames that ParaView plays.
 
     Args:
         path: File to write, replaced if it is there.
         frames: Time [s] and file name of each frame, relative to the folder of `path`.
-        beside: Times [s] and file names of what is shown beside the frames, such as a moving mold.
+        beside: Times [s] and file names of what is shown beside the frames, such as moving tools: a list for each.
     """
     rows = [
         f'    <DataSet timestep="{float(time)!r}"{part} file={quoteattr(name)}/>'
-        for part, shown in (("", frames), (' part="1"', beside))
+        for part, shown in [("", frames), *((f' part="{number}"', each) for number, each in enumerate(beside, 1))]
         for time, name in shown
     ]
     lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]

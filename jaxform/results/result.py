@@ -172,6 +172,8 @@ class Result:
             initial temperature.
         loading: Final state of the loading; None where it has none.
         pressures: Times [s] and pressures [Pa] (2, n), where `run` met a pressure that follows the enclosed volume.
+        contacts: Times [s], and shares of the formed area on each of the scene's surfaces (1 + n_surface, n), where
+            nodes may slide and `run` recorded them.
         out_of_range: Numbers of the scene out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 if none. None for `run`, which refuses them.
     """
@@ -205,6 +207,7 @@ class Result:
     filling: Filling | None = None
     loading: Any = None
     pressures: NDArray[np.float64] | None = None
+    contacts: NDArray[np.float64] | None = None
     out_of_range: jax.Array | None = None
     temperature: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
 

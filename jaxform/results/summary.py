@@ -369,6 +369,31 @@ def add_filling(result: Result, scene: Scene) -> Result:
     return dataclasses.replace(result, filling=filling, status=status)
 
 
+def contact_shares(result: Result, count: int) -> np.ndarray:
+    """Shares (count,) of the formed area that touch each of so many tools, as in `Scene.surfaces`.
+
+    An element touches a tool if it counts for the summary's `contact_fraction`, which is their sum; one between two
+    tools is counted with the later one.
+    """
+    area, tool = formed_areas(result), np.asarray(result.tool)[np.asarray(result.triangles)].max(1, initial=-1)
+    touching = _contact_elements(result)
+    return np.array([area[touching & (tool == number)].sum() for number in range(count)]) / area.sum()
+
+
+def contact_shares_over_time(result: Result, time: np.ndarray, count: int) -> np.ndarray:
+    """Shares (count, n) like `contact_shares` at times (n,) [s], of tools to which nodes stick: contact never ends."""
+    area, triangles = formed_areas(result), np.asarray(result.triangles)
+    tool = np.asarray(result.tool)[triangles].max(1, initial=-1)
+    last = np.asarray(result.contact_time, float)[triangles].max(1, initial=0.0)
+    shares = []
+    for number in range(count):
+        touching = _contact_elements(result) & (tool == number)
+        order = np.argsort(last[touching])
+        so_far = np.concatenate([[0.0], np.cumsum(area[touching][order])])
+        shares.append(so_far[np.searchsorted(last[touching][order], time, side="right")] / area.sum())
+    return np.array(shares).reshape(count, len(time))
+
+
 def _contact_elements(result: Result) -> np.ndarray:
     """Elements with three nodes that are clamped or touch a tool (n_element,), at least one of which touches one."""
     triangles = np.asarray(result.triangles)

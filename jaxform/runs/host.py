@@ -20,7 +20,7 @@ from jaxform.model.scene import Scene
 from jaxform.results.filling import may_be_unfilled
 from jaxform.results.part_warnings import has_burst, warnings_of_part
 from jaxform.results.result import Result, Seconds
-from jaxform.results.summary import add_filling, warnings_of
+from jaxform.results.summary import add_filling, contact_shares, warnings_of
 from jaxform.runs.loop import IN_MEMORY, programs, select_bucket
 from jaxform.sheet.state import State, Status, Taken
 
@@ -69,6 +69,7 @@ def remaining_windows(scene: Scene, state: State, most_steps: int) -> int:
     return max(0, min(scene.tables.window_count - int(state.windows), -(-steps // int(scene.tables.longest_window))))
 
 
+_RECORDS = 60  # of the contact in a run in which nodes slide
 _GOING, _LAST = np.bool_(False), np.bool_(True)
 
 
@@ -140,9 +141,11 @@ def _run(
     ready, telling = time.perf_counter(), 0.0
     follows = state.account.load_state is not None
     pressures: list[tuple[float, float]] = []
+    contacts = _ContactRecord(own) if own.slides else None
+    whole = on_window is None and not follows and contacts is None
     compiling = ready - began
     while left := remaining_windows(scene, state, limit):
-        take = left if on_window is None and not follows else 1
+        take = left if whole else 1
         state, taken, done = advance(state, scene, first, taken, np.int32(take))
         more = enlarge_room(scene, state, taken, bool(done), limit)
         if more is not None:
@@ -156,11 +159,13 @@ def _run(
             continue
         if follows:
             _record_pressure(pressures, state)
-        if on_window is not None:
+        if on_window is not None or contacts is not None:
             now = state, scene, first, taken
             moment = _moment(state, scene, lambda now=now, made=result: room.result(made.ready()(*now, _GOING)))
             told = time.perf_counter()
-            stop = on_window(moment)
+            if contacts is not None and not done:
+                contacts.offer(moment)
+            stop = on_window is not None and on_window(moment)
             telling += time.perf_counter() - told
             if stop:
                 stopped = state.status | (0 if done else Status.STOPPED)
@@ -175,7 +180,11 @@ def _run(
     final = room.result(made(state, scene, first, taken, _LAST))
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
-    final = dataclasses.replace(final, seconds=seconds, pressures=np.array(pressures).T if pressures else None)
+    recorded = {
+        "pressures": np.array(pressures).T if pressures else None,
+        "contacts": None if contacts is None else contacts.rows(),
+    }
+    final = dataclasses.replace(final, seconds=seconds, **recorded)
     if on_end is not None:
         on_end(final)
     if has_burst(final, own):
@@ -185,6 +194,28 @@ def _run(
     for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
         warnings.warn(sentence, InputWarning, stacklevel=2, skip_file_prefixes=(str(PACKAGE),))
     return final
+
+
+class _ContactRecord:
+    """Shares of the sheet on each tool, some tens of times in a run: where nodes slide, they also leave tools."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._every = float(scene.solver.end_time) / _RECORDS
+        self._count = len(scene.surfaces)
+        self._times: list[float] = []
+        self._shares: list[np.ndarray] = []
+
+    def offer(self, moment: Moment) -> None:
+        """Records the shares, unless the last ones are recent."""
+        if not self._times or moment.time >= self._times[-1] + self._every:
+            self._times.append(moment.time)
+            self._shares.append(contact_shares(moment.result(), self._count))
+
+    def rows(self) -> np.ndarray:
+        """Times and shares (1 + count, n), from 0 on, when nothing has been formed yet."""
+        shares = np.array(self._shares).reshape(-1, self._count)
+        rows = np.concatenate([np.array(self._times)[:, None], shares], axis=1)
+        return np.concatenate([np.zeros((1, 1 + self._count)), rows]).T
 
 
 def _record_pressure(pressures: list[tuple[float, float]], state: State) -> None:

@@ -412,17 +412,47 @@ def test_a_mold_that_moves_is_where_it_was_at_each_frame(folder: Path) -> None:
     results = stored_results.read_results(folder)
     assert results.motion is None and results.scene is not None
     text = results.scene[1] + "\n[mold.motion]\ndirection = [0, 0, 2]\ntime = [0.0, 1e-3]\ndisplacement = [0.0, 0.05]\n"
-    motion = stored_results._motion(text)
+    motion = stored_results._motion(stored_results._tables(text)["mold"])
     assert motion is not None
     # Of a scene that a user has changed since, nothing is told.
     for other in ("[mold", text.replace("1e-3", '"x"'), text.replace("direction", "way"), text.replace("0.05", "nan")):
-        assert stored_results._motion(other) is None
+        assert stored_results._motion(stored_results._tables(other).get("mold")) is None
     facts = contents.pack_parts(dataclasses.replace(results, motion=motion), contents.Parcel())
     for part in facts["parts"]:
         rise = [0.05 * s * s * (3 - 2 * s) for s in (min(time / 1e-3, 1.0) for time in (part["time"], facts["end"]))]
         np.testing.assert_allclose(part["mold"], [0.0, 0.0, rise[0] - rise[1]], atol=1e-12)
     assert facts["parts"][0]["label"] == "end" and facts["parts"][0]["mold"] == [0.0, 0.0, 0.0]
     assert len({tuple(part["mold"]) for part in facts["parts"]}) > 1
+
+
+def test_tools_are_where_they_were_at_each_frame(folder: Path, tmp_path: Path) -> None:
+    results = stored_results.read_results(folder)
+    assert results.tools == [] and results.scene is not None
+    plug = molds.plate(radius=0.02)
+    meshes.write_vtu(tmp_path / "tool_plug.vtu", plug.vertices, plug.triangles)
+    meshes.write_vtu(tmp_path / "tool_tool2.vtu", plug.vertices, plug.triangles)
+    moving = '[[tool]]\nname = "plug"\ndirection = [0, 0, 2]\ntime = [0.0, 1e-3]\ndisplacement = [0.0, 0.05]\n'
+    tables = stored_results._tables(moving + '[[tool]]\nshape = "plate"\n[[tool]]\nname = "no-file"\n')
+    tools = stored_results._tools(tmp_path, tables["tool"])
+    assert [(tool.name, tool.motion is not None) for tool in tools] == [("plug", True), ("tool2", False)]
+    facts = contents.pack_parts(dataclasses.replace(results, tools=tools), contents.Parcel())
+    assert facts["tools"] == [{"name": name, "mirrored": False, "rough": False} for name in ("plug", "tool2")]
+    for part in facts["parts"]:
+        rise = [0.05 * s * s * (3 - 2 * s) for s in (min(time / 1e-3, 1.0) for time in (part["time"], facts["end"]))]
+        np.testing.assert_allclose(part["tools"], [[0.0, 0.0, rise[0] - rise[1]], [0.0, 0.0, 0.0]], atol=1e-12)
+    assert len({part["tools"][0][2] for part in facts["parts"]}) > 1
+
+
+def test_the_process_has_a_diagram_for_each_panel() -> None:
+    rows = [{"time": "0", "pressure": "0", "displacement_plug": "0", "contact_mold": "0", "contact_plug": ""}]
+    rows += [{"time": "1", "pressure": "2e4", "displacement_plug": "0.05", "contact_mold": "1", "contact_plug": "0.1"}]
+    drawn = charts._process(rows, contents.Parcel())
+    assert [chart["y"] for chart in drawn] == ["pressure [kPa]", "displacement [mm]", "area in contact [%]"]
+    assert [[line["label"] for line in chart["series"]] for chart in drawn] == [
+        ["pressure"],
+        ["plug"],
+        ["mold", "plug"],
+    ]
 
 
 @pytest.fixture(scope="module")

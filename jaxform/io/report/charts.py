@@ -132,6 +132,8 @@ def pack_charts(results: Results, parcel: Parcel) -> list[Chart]:
     charts = [_wall(results, parcel)]
     if results.start is not None:
         charts += _initial(results.start, results.part, is_disc(results.part, symmetry_of(results)), parcel)
+    if results.process:
+        charts += _process(results.process, parcel)
     if results.history:
         charts += _history(results.history, parcel)
     return [chart for chart in charts if chart["series"]]
@@ -185,6 +187,30 @@ def _initial(start: StoredPart, best: StoredPart, disc: bool, parcel: Parcel) ->
 
 def _same(one: Array | None, other: Array) -> bool:
     return one is not None and np.array_equal(one, other)
+
+
+_ROLES = ("after", "other", "before")  # of lines, by which they have their colours
+
+
+def _process(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:
+    """The process over time: pressure, displacements of tools, and shares of the area in contact with each."""
+    time, pressure = _column(rows, "time"), _column(rows, "pressure")
+    factor, unit = (1e-3, "kPa") if np.nanmax(np.abs(pressure), initial=0.0) >= 1e3 else (1.0, "Pa")
+    line = {"label": "pressure", "role": "after", "dots": False}
+    charts = [("Process: pressure", f"pressure [{unit}]", [line | _pack(parcel, "process.p", time, factor * pressure)])]
+    kinds = (
+        ("displacement", "Process: displacement of tools", "displacement [mm]", 1e3),
+        ("contact", "Process: contact", "area in contact [%]", 100.0),
+    )
+    for kind, title, words, factor in kinds:
+        names = [name for name in rows[0] if name and name.startswith(f"{kind}_")]
+        series = [
+            {"label": name.removeprefix(f"{kind}_"), "role": _ROLES[k % len(_ROLES)], "dots": False}
+            | _pack(parcel, f"process.{name}", time, factor * _column(rows, name))
+            for k, name in enumerate(names)
+        ]
+        charts.append((title, words, series))
+    return [_chart(title, "time [s]", words, series, zero=True) for title, words, series in charts]
 
 
 def _history(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:

@@ -6,7 +6,7 @@ import base64
 import json
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -168,7 +168,7 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
     """Packs meshes, parts and mold; returns their description for the page, as plain numbers and words."""
     search = results.start is not None
     end = float(results.summary.get("time") or 0.0)
-    parts = _Parts(parcel, results.motion, end)
+    parts = _Parts(parcel, [results.motion, *(tool.motion for tool in results.tools)], end)
     parts.add(results.part, "best design" if search else "end", end)
     if results.start is not None:
         parts.add(results.start, "start of the search", end)
@@ -182,6 +182,10 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
         "symmetry": symmetry_of(results),
         "hangs": _hangs(results.part, results.motion is not None),
         "mold": None if results.mold is None else _pack_mold(results.mold, symmetry_of(results), parcel),
+        "tools": [
+            {"name": tool.name} | _pack_mold(tool.mesh, symmetry_of(results), parcel, f"tool{number}")
+            for number, tool in enumerate(results.tools)
+        ],
     }
 
 
@@ -193,9 +197,9 @@ def symmetry_of(results: Results) -> dict[str, float]:
 class _Parts:
     """Parts that are packed one after the other; those with the same mesh share it."""
 
-    def __init__(self, parcel: Parcel, motion: Motion | None, end: float) -> None:
+    def __init__(self, parcel: Parcel, motions: Sequence[Motion | None], end: float) -> None:
         self.described: list[dict[str, Any]] = []
-        self._motion, self._end = motion, end
+        self._motions, self._end = motions, end
         self._parcel = parcel
         self._meshes: list[tuple[StoredPart, NDArray[np.int64]]] = []
 
@@ -205,7 +209,7 @@ class _Parts:
             part = self._reorder_elements(part)
         mesh = self._mesh(part)
         nodes, prefix = self._meshes[mesh][1], f"part{len(self.described)}"
-        nodal = {name: values[nodes] for name, values in part.nodal.items() if name != "thickness"}
+        nodal = {name: values[nodes] for name, values in part.nodal.items() if name not in ("thickness", "tool")}
         if coarse and mesh == 0:
             # Only the positions of the nodes are new: contact follows from the final times of contact.
             nodal = {}
@@ -221,14 +225,15 @@ class _Parts:
                 self._parcel.add(name, values, relative=quantity.relative, coarse=coarse)
         for name, values in nodal.items():
             self._parcel.add(f"{prefix}.{name}", values, coarse=coarse)
-        self.described.append({"label": label, "time": time, "mesh": mesh, "mold": self._mold_offset(time)})
+        mold, *tools = [self._offset(motion, time) for motion in self._motions]
+        self.described.append({"label": label, "time": time, "mesh": mesh, "mold": mold, "tools": tools})
 
-    def _mold_offset(self, time: float) -> list[float]:
-        """Displacement of the mold (3,) [m] at a time [s], relative to its final position."""
-        if self._motion is None:
+    def _offset(self, motion: Motion | None, time: float) -> list[float]:
+        """Displacement of a mold or tool (3,) [m] at a time [s], relative to its final position."""
+        if motion is None:
             return [0.0, 0.0, 0.0]
         moments: tuple[Any, ...] = time, self._end
-        there, last = (np.asarray(self._motion.offset(moment), float) for moment in moments)
+        there, last = (np.asarray(motion.offset(moment), float) for moment in moments)
         return (there - last).tolist()
 
     def _reorder_elements(self, part: StoredPart) -> StoredPart:
@@ -261,6 +266,7 @@ def _quantities(parts: list[StoredPart]) -> list[dict[str, Any]]:
     """Quantities that the parts can be coloured by, and the ranges of the colours, which they share."""
     areas, formed = zip(*(formed_element_areas(part) for part in parts), strict=True)
     known = {quantity.key for quantity in _NODAL_QUANTITIES} | {"thickness"}
+    known |= {"tool"}  # its number is none that has a mean
     others = [Quantity(name, name.replace("_", " ")) for name in parts[0].nodal if name not in known]
     found = []
     for of, quantities in (("elements", (*_ELEMENT_QUANTITIES, _AREA_STRETCH)), ("nodes", _NODAL_QUANTITIES)):
@@ -309,12 +315,12 @@ def _hangs(part: StoredPart, moved: bool) -> bool:
     return bool(flat and (rise.mean() < 0 if moved else rise.mean() > 0))
 
 
-def _pack_mold(mold: Mesh, symmetry: Mapping[str, float], parcel: Parcel) -> dict[str, Any]:
-    """Packs the mold; returns whether it ends at a symmetry plane, so that its images are wanted."""
+def _pack_mold(mold: Mesh, symmetry: Mapping[str, float], parcel: Parcel, name: str = "mold") -> dict[str, Any]:
+    """Packs the mold or a tool; returns whether it ends at a symmetry plane, so that its images are wanted."""
     vertices, triangles = _coarsen(mold.positions, mold.triangles)
     triangles, kept = by_first_use(triangles)
-    parcel.add_triangles("mold.triangles", triangles)
-    parcel.add("mold.positions", vertices[kept])
+    parcel.add_triangles(f"{name}.triangles", triangles)
+    parcel.add(f"{name}.positions", vertices[kept])
     tolerance = 1e-6 * float(np.ptp(mold.positions, axis=0).max())
     crosses = [
         (mold.positions[:, k] < symmetry["xyz"[k]] - tolerance).any()

@@ -53,7 +53,8 @@ class Page {
     );
     get("choice-part").hidden = !facts.search;
     get("choice-whole").hidden = !Object.keys(facts.symmetry).length;
-    get("choice-mold").hidden = !facts.mold;
+    get("choice-mold").hidden = !facts.mold && !facts.tools.length;
+    if (facts.tools.length) get("choice-mold").lastChild.textContent = facts.mold ? " mold and tools" : " tools";
     for (const id of ["quantity", "shown"]) get(id).addEventListener("change", () => this.show());
     for (const id of ["whole", "mold", "edges"]) get(id).addEventListener("change", () => this.settle());
     get("limit").addEventListener("input", () => this.settle());
@@ -125,12 +126,14 @@ class Page {
 
   buildMold() {
     const { facts, view } = this;
-    if (!facts.mold) return;
-    const [nodes, places] = [facts.array("mold.triangles"), facts.array("mold.positions")],
-      position = new Float32Array(3 * nodes.length);
-    for (let k = 0; k < position.length; k++) position[k] = places[3 * nodes[(k / 3) | 0] + (k % 3)];
-    view.mold = view.surface({ position }, nodes.length);
-    view.moldMirrored = facts.mold.mirrored;
+    const built = (name, { mirrored }) => {
+      const [nodes, places] = [facts.array(`${name}.triangles`), facts.array(`${name}.positions`)],
+        position = new Float32Array(3 * nodes.length);
+      for (let k = 0; k < position.length; k++) position[k] = places[3 * nodes[(k / 3) | 0] + (k % 3)];
+      return { surface: view.surface({ position }, nodes.length), mirrored };
+    };
+    if (facts.mold) view.mold = built("mold", facts.mold);
+    view.tools = facts.tools.map((tool, number) => built(`tool${number}`, tool));
   }
 
   // Takes over what is chosen without a new part.
@@ -226,7 +229,7 @@ class Page {
 function theme() {
   const style = getComputedStyle(document.documentElement),
     color = (name) => rgb(style.getPropertyValue(name).trim().slice(1));
-  return { stage: color("--stage"), line: color("--box"), mold: color("--mold") };
+  return { stage: color("--stage"), line: color("--box"), mold: color("--mold"), tool: color("--tool") };
 }
 
 function complain(words) {

@@ -70,9 +70,15 @@ def _tiles(results: Results) -> Iterable[str]:
     yield _tile("mean wall", number(wall["mean"], 1e3), "mm", first.get("wall_mean"), 1e3)
     yield _tile("variation of the wall", number(wall["cv"], 100, 3), "%", first.get("wall_cv"), 100)
     yield _tile("mass", number(_whole_mass(results), 1e3), "g", _times(first.get("mass"), results), 1e3)
-    if results.mold is not None:
-        yield _tile("in contact with the mold", number(summary["contact_fraction"], 100, 3), "%")
+    if results.mold is not None or results.tools:
+        yield _tile(f"in contact with {_tool_words(results)}", number(summary["contact_fraction"], 100, 3), "%")
     yield _tile("energy balance error", _small(summary["energy"].get("balance_error")), "%")
+
+
+def _tool_words(results: Results) -> str:
+    if results.mold is None:
+        return "tools"
+    return "mold and tools" if results.tools else "the mold"
 
 
 def _tile(label: str, value: str, unit: str, before: Any = None, factor: float = 1.0) -> str:
@@ -116,9 +122,12 @@ def quality(results: Results) -> str:
     if summary.get("sheet_mass") is not None:
         whole = 2**planes * summary["sheet_mass"]
         rows.append(("&emsp;of the whole sheet", f"{number(whole, 1e3)} g"))
-    if results.mold is not None:
+    if results.mold is not None or results.tools:
         rows.append(
-            ("share of the formed area in contact with the mold", f"{number(summary['contact_fraction'], 100)} %")
+            (
+                f"share of the formed area in contact with {_tool_words(results)}",
+                f"{number(summary['contact_fraction'], 100)} %",
+            )
         )
     if summary.get("penetration_max"):
         where = _place(summary.get("penetration_place") or [])

@@ -132,6 +132,14 @@ class StoredPart(NamedTuple):
         return self.cells.get("part")
 
 
+class StoredTool(NamedTuple):
+    """A tool besides the mold, at its final position, and its motion; None where it rests."""
+
+    name: str
+    mesh: meshes.Mesh
+    motion: Motion | None
+
+
 @dataclass(frozen=True)
 class Results:
     """Results that a command left in a folder.
@@ -144,8 +152,10 @@ class Results:
         frame_count: Number of frames in the folder.
         mold: The mold in mold.vtu, at its final position; None without one.
         motion: Motion of the mold; None where it rests.
+        tools: The tools besides the mold.
         scene: The scene file, its name and its text; None where there is none.
         history: Rows of history.csv; empty for a simulation.
+        process: Rows of process.csv; empty where nothing changes over time.
     """
 
     summary: dict[str, Any]
@@ -155,8 +165,10 @@ class Results:
     frame_count: int = 0
     mold: meshes.Mesh | None = None
     motion: Motion | None = None
+    tools: list[StoredTool] = field(default_factory=list)
     scene: tuple[str, str] | None = None
     history: list[dict[str, str]] = field(default_factory=list)
+    process: list[dict[str, str]] = field(default_factory=list)
 
 
 def read_results(folder: Path) -> Results:
@@ -182,23 +194,47 @@ def read_results(folder: Path) -> Results:
         frames=frames,
         frame_count=count,
         mold=_mesh(folder / "mold.vtu") if disk.is_file(folder / "mold.vtu") else None,
-        motion=None if text is None else _motion(text),
+        motion=None if text is None else _motion(_tables(text).get("mold")),
+        tools=[] if text is None else _tools(folder, _tables(text).get("tool")),
         scene=None if text is None else (scene.name, text),
         history=_rows(folder / "history.csv") if is_search else [],
+        process=_rows(folder / "process.csv"),
     )
 
 
-def _motion(scene: str) -> Motion | None:
-    """The motion of the mold of a scene file; None where it has none, or none that can be read."""
+def _tables(scene: str) -> dict[str, Any]:
+    """The tables of a scene file; none where it cannot be read."""
     try:
-        table = tomllib.loads(scene).get("mold", {}).get("motion")
-        if table is None:
+        return tomllib.loads(scene)
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
+_MOTION = ("direction", "time", "displacement")
+
+
+def _motion(table: Any) -> Motion | None:
+    """The motion of a mold or tool of a scene file; None where it has none, or none that can be read."""
+    try:
+        numbers = table.get("motion") or {key: table[key] for key in _MOTION if key in table}
+        if not numbers:
             return None
         from jaxform.tools.motion import make_motion  # with JAX, which takes a second to import
 
-        return make_motion(**table)
-    except (tomllib.TOMLDecodeError, InputError, AttributeError, TypeError):
+        return make_motion(**numbers)
+    except (InputError, AttributeError, TypeError):
         return None
+
+
+def _tools(folder: Path, tables: Any) -> list[StoredTool]:
+    """The tools of a scene file whose meshes are in a folder."""
+    found = []
+    for number, table in enumerate(tables if isinstance(tables, list) else [], 1):
+        name = str(table.get("name", f"tool{number}")) if isinstance(table, dict) else ""
+        path = folder / f"tool_{Path(name).name}.vtu"
+        if name and disk.is_file(path):
+            found.append(StoredTool(name, _mesh(path), _motion(table)))
+    return found
 
 
 def _mesh(path: Path) -> meshes.Mesh:

@@ -5,6 +5,7 @@ class View {
     this.canvas = canvas;
     this.up = hangs ? -1 : 1;
     this.panes = [];
+    this.tools = [];
     this.options = { whole: true, mold: true, edges: false, limit: -1, range: [0, 1] };
     this.planes = Object.entries(symmetry).map(([axis, level]) => ["xyz".indexOf(axis), level]);
     this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
@@ -215,19 +216,24 @@ class View {
       this.theme.line.map((x) => x / 255),
     );
     this.drawImages(this.lines, false, gl.LINES);
-    if (options.mold && this.mold) {
+    if (options.mold && (this.mold || this.tools.length)) {
       gl.uniform1i(at.mode, MODE.mold);
-      gl.uniform3fv(
-        at.paint,
-        this.theme.mold.map((x) => x / 255),
-      );
       gl.enable(gl.BLEND);
       gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
       gl.depthMask(false);
       // Where the part lies on it, the part is seen.
       gl.enable(gl.POLYGON_OFFSET_FILL);
       gl.polygonOffset(2, 40);
-      this.drawImages(this.mold, options.whole && this.moldMirrored, gl.TRIANGLES, pane.part.mold);
+      const shown = [[this.mold, this.theme.mold, pane.part.mold]];
+      this.tools.forEach((tool, k) => shown.push([tool, this.theme.tool, pane.part.tools[k]]));
+      for (const [tool, paint, moved] of shown) {
+        if (!tool) continue;
+        gl.uniform3fv(
+          at.paint,
+          paint.map((x) => x / 255),
+        );
+        this.drawImages(tool.surface, options.whole && tool.mirrored, gl.TRIANGLES, moved);
+      }
       gl.disable(gl.POLYGON_OFFSET_FILL);
       gl.depthMask(true);
       gl.disable(gl.BLEND);

@@ -1,0 +1,133 @@
+"""The process over time: pressure, displacements of tools, and contact; as a table, and as one picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.disk import atomic_path
+from jaxform.core.pytree import as_real
+from jaxform.io.canvas import ProcessPicture
+from jaxform.io.surfaces import tool_colors
+from jaxform.io.tool_checks import offsets_of
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result
+from jaxform.results.summary import contact_shares, contact_shares_over_time
+from jaxform.tools.mold import Mold
+
+Array = NDArray[np.float64]
+
+TABLE, PICTURE = "process.csv", "process.png"
+"""Names of the files in a folder of results."""
+_TIMES = 241  # of the table, besides the knots of pressure and motions
+_MOLD = "#606060"
+
+
+class ProcessHistory(NamedTuple):
+    """A process at times (n,) [s].
+
+    Attributes:
+        time: The times [s], from 0 to the end of the run.
+        pressure: Pressure (n,) [Pa].
+        displacements: Displacement (n,) [m] along the way of each tool that moves, the mold included, by name.
+        contact: Share (n,) of the formed area in contact with each tool, the mold first, by name.
+    """
+
+    time: Array
+    pressure: Array
+    displacements: dict[str, Array]
+    contact: dict[str, Array]
+
+
+def tool_label(tool: Mold) -> str:
+    """The name of a tool; that of the mold is mold."""
+    return tool.name or "mold"
+
+
+def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
+    """The process of a run; None where nothing changes over time: a constant pressure, and no tool that moves."""
+    tools = [surface.mold for surface in scene.surfaces]
+    time = _times(scene, tools, float(result.time))
+    pressure = _pressures(scene, result, time)
+    if not scene.moves and np.ptp(pressure) == 0.0:
+        return None
+    displacements = {
+        tool_label(tool): offsets_of(tool, time) @ np.asarray(tool.motion.direction, float)
+        for tool in tools
+        if tool.motion is not None
+    }
+    contact = _contact(result, time, len(tools))
+    return ProcessHistory(time, pressure, displacements, dict(zip(map(tool_label, tools), contact, strict=True)))
+
+
+def _times(scene: Scene, tools: Sequence[Mold], end: float) -> Array:
+    """Times (n,) [s] of the table: even ones, and the knots of pressure and motions."""
+    knots = [np.asarray(tool.motion.time, float) for tool in tools if tool.motion is not None]
+    own = getattr(scene.pressure, "time", None)
+    knots += [] if own is None else [np.atleast_1d(np.asarray(own, float))]
+    found = np.concatenate([np.linspace(0.0, end, _TIMES), *knots])
+    return np.unique(found[(found >= 0.0) & (found <= end)])
+
+
+def _pressures(scene: Scene, result: Result, time: Array) -> Array:
+    """Pressures (n,) [Pa]: those of the run, where they follow the volume."""
+    if result.pressures is not None:
+        return np.interp(time, *result.pressures)
+    if scene.pressure.follows_volume:
+        return np.full(len(time), np.nan)
+    return np.asarray(jax.vmap(lambda moment: scene.pressure.at(moment, None))(as_real(time)), float)
+
+
+def _contact(result: Result, time: Array, count: int) -> Array:
+    """Shares (count, n) of the formed area in contact with each of so many tools."""
+    if result.contacts is None:
+        return contact_shares_over_time(result, time, count)
+    recorded, *shares = np.concatenate([result.contacts, _now(result, count)], axis=1)
+    return np.array([np.interp(time, recorded, share) for share in shares]).reshape(count, len(time))
+
+
+def _now(result: Result, count: int) -> Array:
+    """The time [s] and the shares at the end, (1 + count, 1)."""
+    return np.concatenate([[float(result.time)], contact_shares(result, count)])[:, None]
+
+
+def write_process(history: ProcessHistory | None, folder: Path) -> None:
+    """Writes process.csv into a folder of results; without a process, removes table and picture of an earlier run."""
+    path = folder / TABLE
+    if history is None:
+        for name in (TABLE, PICTURE):
+            (folder / name).unlink(missing_ok=True)
+        return
+    columns = {"time": history.time, "pressure": history.pressure}
+    columns |= {f"displacement_{name}": values for name, values in history.displacements.items()}
+    columns |= {f"contact_{name}": values for name, values in history.contact.items()}
+    rows = np.stack(list(columns.values()), axis=1)
+    lines = [",".join(columns), *(",".join("" if np.isnan(x) else f"{x:.9g}" for x in row) for row in rows)]
+    with atomic_path(path) as fresh:
+        fresh.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def process_picture(scene: Scene, history: ProcessHistory) -> ProcessPicture:
+    """Content of the picture of a process."""
+    tools = [surface.mold for surface in scene.surfaces]
+    colors = [_MOLD] * (scene.mold is not None) + tool_colors(len(scene.tools))
+    moves = {}
+    for tool in tools:
+        if tool.motion is not None:
+            time, far = np.asarray(tool.motion.time, float), np.asarray(tool.motion.displacement, float)
+            spans = [(time[k], time[k + 1]) for k in np.flatnonzero(np.diff(far)) if time[k] < history.time[-1]]
+            moves[tool_label(tool)] = [(float(a), min(float(b), float(history.time[-1]))) for a, b in spans]
+    return ProcessPicture(
+        title=f"{scene.name}: the process",
+        time=history.time,
+        pressure=history.pressure,
+        displacements=history.displacements,
+        contact=history.contact,
+        colors=dict(zip(map(tool_label, tools), colors, strict=True)),
+        moves=moves,
+    )
