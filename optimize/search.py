@@ -268,7 +268,9 @@ class Search:
             return _plain(report) | {"value": float(value)}
         scene = self.scene(free)
         result = formed_part(scene)
-        arguments = scene, dataclasses.replace(result, seconds=None), self.limits
+        # What the host recorded is as long as the run.
+        whole = dataclasses.replace(result, seconds=None, pressures=None, contacts=None)
+        arguments = scene, whole, self.limits
         value, report = self._program("judge", self.judge, *arguments)(*arguments)
         return _plain(report) | {"value": float(value)}
 

@@ -25,6 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `jaxform new`."""
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="folder for scene.toml and study.toml")
     parser.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files of the mold")
+    parser.add_argument(
+        "--plug", metavar="FILE", help="the mesh file of a plug that pushes the sheet first; auto: made from the cavity"
+    )
     parser.add_argument("--scale", metavar="M", type=float, help="metres per unit of the files; guessed by default")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--drape", action="store_true", help="form the sheet over the mold (a male mold)")
@@ -84,7 +87,9 @@ def _wishes(arguments: argparse.Namespace) -> UserChoices:
 
     direction = None if arguments.direction is None else buck.parse_direction(arguments.direction)
     drape = True if arguments.drape else False if arguments.cavity else None
-    return UserChoices(arguments.scale, arguments.thickness, drape, direction, arguments.process)
+    plug = arguments.plug
+    path = plug if plug is None or plug == "auto" else disk.expand_path(plug)
+    return UserChoices(arguments.scale, arguments.thickness, drape, direction, arguments.process, path)
 
 
 def _check_positive(key: str, value: float | None) -> None:
@@ -134,6 +139,12 @@ def _lines(made: Draft) -> Iterator[str]:
     yield f"sheet: {scene_text.shape_text(made)}, {1e3 * made.width:.3g} mm wide, {_clamp_words(made)}"
     if made.drape is None and made.covers.mesh is not None:
         yield f"{scene_text.COVERS} closes {scene_text.covers_text(made)}"
+    if made.plug is not None:
+        size, what = made.plug.plug.size, "made from the cavity" if made.plug.path is None else "of its file"
+        yield (
+            f"plug: {what}, {1e3 * size[0]:.3g} x {1e3 * size[1]:.3g} mm wide, goes "
+            f"{1e3 * made.plug.plug.stroke:.3g} mm within {made.stroke_time:.3g} s; its friction is a guess"
+        )
     yield (
         f"guessed: thickness {1e3 * made.thickness:.3g} mm, {made.pressure:.3g} Pa within {made.ramp:.3g} s; "
         "the material is a placeholder"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
 from jaxform.tools.halves import Plane
 from jaxform.tools.opening import Opening
+from jaxform.tools.plugs import Plug
 
 Array = NDArray[np.float64]
 
@@ -154,6 +157,27 @@ _DAMPING = 2.0  # the same times the damping
 _STROKE, _PRESSING = 25.0, 40.0  # the same of the mold's motion, and of the ramp after it
 
 
+FRICTION = 0.2
+"""Coefficient of friction of a plug in a first scene."""
+
+
+@dataclass(frozen=True)
+class PlugSetup:
+    """A plug of a first scene.
+
+    Attributes:
+        plug: The plug, in the axes of the view.
+        path: The user's file; None for one that was made by an offset of the cavity.
+        mesh: The plug that was made, in the axes of the scene [m], where it starts; None for a user's.
+        translate: Translation [m] (3,) of a user's file in the scene.
+    """
+
+    plug: Plug
+    path: Path | None
+    mesh: Mesh | None
+    translate: Array
+
+
 @dataclass(frozen=True)
 class Draft:
     """The choices of a first scene.
@@ -178,6 +202,7 @@ class Draft:
         element_size: Size of the elements [m].
         process: Source of the pressure, one of `PROCESSES`.
         drape: Setup for draping over a buck; None for a cavity.
+        plug: The plug that pushes the sheet first; None without one.
         doubt: Alternative kind of the mold; empty where that is clear.
     """
 
@@ -200,6 +225,7 @@ class Draft:
     element_size: float
     process: str = PROCESSES[0]
     drape: Drape | None = None
+    plug: PlugSetup | None = None
     doubt: str = ""
 
     @property
@@ -256,8 +282,9 @@ class Draft:
 
     @property
     def stroke_time(self) -> float:
-        """Duration of the mold's motion before the pressure rises [s]; 0 where it rests."""
-        return 0.0 if self.drape is None else round_digits(_STROKE * self._time)
+        """Duration of the motion of mold or plug before the pressure rises [s]; 0 where there is none."""
+        moves = self.drape is not None or self.plug is not None
+        return round_digits(_STROKE * self._time) if moves else 0.0
 
     @property
     def damping(self) -> float:
@@ -285,6 +312,7 @@ class UserChoices:
         drape: Whether the mold is a buck.
         direction: Unit vector (3,) to the side from which the sheet comes, in the file's axes.
         process: One of `PROCESSES`.
+        plug: The mesh file of a plug, or "auto" for one that is made by an offset of the cavity; None without one.
     """
 
     scale: float | None = None
@@ -292,6 +320,7 @@ class UserChoices:
     drape: bool | None = None
     direction: Array | None = None
     process: str = PROCESSES[0]
+    plug: Path | Literal["auto"] | None = None
 
 
 def round_digits(value: float) -> float:

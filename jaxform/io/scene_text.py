@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from jaxform.core.disk import atomic_path
 from jaxform.core.errors import InputError
-from jaxform.io.scene_choices import ALPHA, DENSITY, STIFFNESS, Draft
+from jaxform.io.scene_choices import ALPHA, DENSITY, FRICTION, STIFFNESS, Draft, clearance
 from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
 from jaxform.tools.halves import Plane
+from jaxform.tools.plugs import WIDTH
 
-COVERS, IMAGES, PLATEN = "covers.stl", "images.stl", "platen.stl"
-"""Names of the files of a mold's covers, of the images that complete a cut mold, and of a buck's platen."""
+COVERS, IMAGES, PLATEN, PLUG = "covers.stl", "images.stl", "platen.stl", "plug.stl"
+"""Names of the files of a mold's covers, of the images that complete a cut mold, of a buck's platen and of a plug."""
 
 _CONTENT = {
     COVERS: "the covers of the mold's holes",
@@ -37,23 +38,27 @@ def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
     Raises:
         InputError: A file cannot be written, or a file of the mold would be overwritten.
     """
-    names, added = _names(folder, paths), _added_meshes(made)
+    own_plug = [] if made.plug is None or made.plug.path is None else [made.plug.path]
+    sources = [*paths, *own_plug]
+    copies, added = _names(folder, sources, made), _added_meshes(made)
+    names, plug = copies[: len(paths)], PLUG if not own_plug else copies[-1]
+    added |= {PLUG: made.plug.mesh} if made.plug is not None and made.plug.mesh is not None else {}
     for name in added:
-        if _is_one_of(folder / name, paths):
-            problem = f"would be overwritten by {_CONTENT[name]}"
+        if _is_one_of(folder / name, sources):
+            problem = f"would be overwritten by {_CONTENT.get(name, 'the plug')}"
             raise InputError(problem, "give it another name", "--mold", str(folder / name))
-    for path, name in zip(paths, names, strict=True):
+    for path, name in zip(sources, copies, strict=True):
         if not _is_one_of(folder / name, [path]):
             with atomic_path(folder / name) as fresh:
                 shutil.copyfile(path, fresh)
     for name, mesh in added.items():
         with atomic_path(folder / name) as fresh:
-            meshes.write_stl(fresh, mesh.positions / made.scale, mesh.triangles)
-    files = {"scene.toml": scene_text(made, names), "study.toml": study_text(made)}
+            meshes.write_stl(fresh, mesh.positions / (1.0 if name == PLUG else made.scale), mesh.triangles)
+    files = {"scene.toml": scene_text(made, names, plug), "study.toml": study_text(made)}
     for name, text in files.items():
         with atomic_path(folder / name) as fresh:
             fresh.write_text(text, encoding="utf-8")
-    return [folder / name for name in [*files, *names, *added]]
+    return [folder / name for name in [*files, *copies, *added]]
 
 
 def _added_meshes(made: Draft) -> dict[str, Mesh]:
@@ -68,14 +73,15 @@ def cut_planes_text(planes: Sequence[Plane], scale: float) -> str:
     return " and ".join(f"{'xyz'[plane.axis]} = {_number(plane.level / scale, 4)}" for plane in planes)
 
 
-def _names(folder: Path, paths: Sequence[Path]) -> list[str]:
+def _names(folder: Path, paths: Sequence[Path], made: Draft) -> list[str]:
     """File names for the copies in a folder, each once, and none by which a copy overwrites another file's original."""
     names: list[str] = []
+    written = [*_CONTENT, *([PLUG] if made.plug is not None and made.plug.mesh is not None else [])]
     for path in paths:
         # A name on disk may be no text.
         plain, count = Path(path.name.encode("utf-8", "replace").decode()), 1
         name, others = plain.name, [other for other in paths if not other.samefile(path)]
-        while name in names or name in _CONTENT or _is_one_of(folder / name, others):
+        while name in names or name in written or _is_one_of(folder / name, others):
             count += 1
             name = f"{plain.stem}-{count}{plain.suffix}"
         names.append(name)
@@ -87,8 +93,8 @@ def _is_one_of(file: Path, paths: Sequence[Path]) -> bool:
     return file.exists() and any(path.samefile(file) for path in paths)
 
 
-def scene_text(made: Draft, names: Sequence[str]) -> str:
-    """The scene file, for molds of these names beside it."""
+def scene_text(made: Draft, names: Sequence[str], plug: str = PLUG) -> str:
+    """The scene file, for molds and a plug of these names beside it."""
     return "\n".join(
         [
             "# Written by `jaxform new`. SI units everywhere: m, s, kg, Pa.",
@@ -97,6 +103,7 @@ def scene_text(made: Draft, names: Sequence[str]) -> str:
             *_material(),
             *_pressure(made),
             *_mold(made, names),
+            *_tool(made, plug),
             *_refinement(made),
             *_part(made, names),
             *_solver(made),
@@ -151,6 +158,7 @@ def _pressure(made: Draft) -> list[str]:
     return [
         "",
         *_filling_comments(made),
+        *([] if made.plug is None else ["# It rises when the plug has come to rest."]),
         "# It rises so slowly that inertia has almost no effect, and pushes towards +z, into the mold.",
         "[pressure]",
         f"time = [{', '.join(map(_number, knots))}]",
@@ -224,6 +232,42 @@ def _motion(made: Draft) -> list[str]:
         "direction = [0.0, 0.0, -1.0]",
         f"time = [0.0, {_number(made.stroke_time)}]",
         f"displacement = [0.0, {_number(made.drape.stroke(made.thickness), 6)}]",
+    ]
+
+
+def _tool(made: Draft, name: str) -> list[str]:
+    """The table of the plug, as lines; empty without one."""
+    if made.plug is None:
+        return []
+    setup = made.plug
+    share = 100 * (setup.plug.stroke - clearance(made.thickness)) / made.found.depth
+    kind = ["# The plug goes into the cavity first. It is in the axes of the mold's file."]
+    pose = [
+        f"scale = {_number(made.scale)}",
+        f"rotate = [{', '.join(_number(angle, 12) for angle in made.rotate)}]",
+        f"translate = [{', '.join(_number(shift, 10) for shift in setup.translate)}]",
+    ]
+    if setup.mesh is not None:
+        kind = [
+            "# The plug goes into the cavity first. It was made by an offset of the cavity with a rounded edge, "
+            f"{100 * WIDTH:.0f} %",
+            "# as wide at the widest place; its file is in metres, in the axes of the scene.",
+        ]
+        pose = []
+    return [
+        "",
+        *kind,
+        f"# Its end is at {share:.3g} % of the cavity's depth when the pressure begins to rise.",
+        "[[tool]]",
+        'name = "plug"',
+        'shape = "file"',
+        f"path = {inline(name)}",
+        *pose,
+        "direction = [0.0, 0.0, 1.0]",
+        f"time = [0.0, {_number(made.stroke_time)}]",
+        f"displacement = [0.0, {_number(setup.plug.stroke, 6)}]",
+        'contact = "coulomb"  # the sheet slides on it with friction; "stick" and "slide" are the extremes',
+        f"friction = {_number(FRICTION)}  # a guess: 0.1 for felt, 0.4 for rubber-like plugs",
     ]
 
 

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.core.errors import InputError
 from jaxform.io import scene_choices
-from jaxform.io.scene_choices import Draft, UserChoices, round_digits
+from jaxform.io.geometry import error_context
+from jaxform.io.scene_choices import Draft, PlugSetup, UserChoices, clearance, round_digits
 from jaxform.io.unit_checks import guess_units
 from jaxform.mesh import masks, meshes, outlines
 from jaxform.mesh.grids import triangle_side
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
-from jaxform.tools import covers, footprint, halves, kinds, molds, opening, patches
+from jaxform.tools import covers, footprint, halves, kinds, molds, opening, patches, plugs
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
 from jaxform.tools.opening import Opening
@@ -60,6 +63,9 @@ def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
         "doubt": verdict.doubt,
     }
     if verdict.drape:
+        if wishes.plug is not None:
+            problem, remedy = "pushes a sheet into a cavity, and this mold is male", "leave it out, or give --cavity"
+            raise InputError(problem, remedy, "--plug", str(wishes.plug))
         return _draft_buck(mold, wishes, known)
     return _draft_cavity(mold, verdict.rest, wishes, known)
 
@@ -85,6 +91,7 @@ def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dic
     width = _width(polygon, area)
     pocket, slit = _pockets(found)
     pocket = min(pocket, 0.5 * width)
+    thickness = wishes.thickness or round_digits(_THICKNESS * width)
     return Draft(
         **known,
         rotate=rotate,
@@ -97,9 +104,29 @@ def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dic
         width=width,
         pocket=pocket,
         slit=slit,
-        thickness=wishes.thickness or round_digits(_THICKNESS * width),
+        thickness=thickness,
         element_size=_element_size(pocket, area, _ELEMENTS),
+        plug=_plug(found, wishes, known["scale"], thickness, (rotate, translate)),
     )
+
+
+def _plug(
+    found: Opening, wishes: UserChoices, scale: float, thickness: float, place: tuple[Array, Array]
+) -> PlugSetup | None:
+    """The plug that the user wants, before the sheet; `place` is the rotation [degrees] and translation of the mold."""
+    if wishes.plug is None:
+        return None
+    start, turn, (rotate, translate) = clearance(thickness), found.view.turn, place
+    to_scene = molds.rotation(rotate) @ turn.T
+    level = np.array([0.0, 0.0, found.level])
+    if wishes.plug == "auto":
+        made = plugs.offset_plug(found, start)
+        positions = (made.mesh.positions + level) @ to_scene.T + translate
+        return PlugSetup(made, None, replace(made.mesh, positions=positions), np.zeros(3))
+    with error_context("", "--plug"):
+        own = meshes.weld(meshes.read_mesh(wishes.plug, scale=scale))
+        made = plugs.place_plug(replace(own, positions=own.positions @ turn.T - level), found, start)
+    return PlugSetup(made, wishes.plug, None, np.round(translate + to_scene @ made.shift, 9) + 0.0)
 
 
 def _draft_buck(mold: Mesh, wishes: UserChoices, known: dict[str, Any]) -> Draft:
