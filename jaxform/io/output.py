@@ -25,6 +25,7 @@ from jaxform.results.part import part_elements
 from jaxform.results.result import Result, drop_unused
 from jaxform.results.summary import summarize, summarize_at_once, wrinkle_fraction
 from jaxform.runs.host import Moment
+from jaxform.sheet.state import initial_node_state
 from jaxform.tools.mold import Mold
 
 Array = NDArray[np.float64]
@@ -178,12 +179,10 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
 
 def _initial_tool(scene: Scene) -> NDArray[np.int32]:
     """The number of the tool that nodes touch before the first step (n_node,), as in `Scene.surfaces`; -1 for none."""
-    tables = scene.tables
-    count = len(scene.parison.positions)
-    if tables.initial_contact is None:
-        return np.full(count, -1, np.int32)
-    tool = np.zeros(count, np.int32) if tables.initial_tool is None else np.asarray(tables.initial_tool, np.int32)
-    return np.where(np.asarray(tables.initial_contact) != 0, tool, -1).astype(np.int32)
+    first = initial_node_state(scene)
+    return np.where(np.asarray(first.wall) == 0, -1, 0 if first.tool is None else np.asarray(first.tool)).astype(
+        np.int32
+    )
 
 
 @dataclass

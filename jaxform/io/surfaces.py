@@ -175,15 +175,16 @@ def _tools(scene: Scene, part: Array, hangs: bool, share: float) -> tuple[list[D
     """The tools besides the mold behind a part (n, 3, 3) [mm], and those in front of it, which let it show through."""
     behind: list[DrawnSurface] = []
     before: list[DrawnSurface] = []
-    level = part[..., 2].mean()
+    low, high = part[..., 2].min(), part[..., 2].max()
     for tool, color in zip(scene.tools, tool_colors(len(scene.tools)), strict=True):
         if _is_too_large(tool, part):
             continue
         faces = 1e3 * tool_faces(scene, tool)
         paint = np.tile(np.array([*bytes.fromhex(color[1:])]) / 255, (len(faces), 1))
-        is_above = faces[..., 2].mean() > level
-        surface = DrawnSurface(faces, paint, share)
-        (before if is_above != hangs else behind).append(surface)
+        # It is in front where it stands out of the part towards the eye, as a plug does out of a cup.
+        below, above = low - faces[..., 2].min(), faces[..., 2].max() - high
+        towards, away = (below, above) if hangs else (above, below)
+        (before if towards > max(away, 0.0) else behind).append(DrawnSurface(faces, paint, share))
     return behind, before
 
 

@@ -95,10 +95,10 @@ def _reach(found: Opening, room: Array, center: Array, way: Array, off: float) -
     step = 0.5 * found.view.pixel
     far = step * np.arange(1, int(2.0 * max(room.shape)) + 1)
     free = found.view.sample(room, (center + far[:, None, None] * way).reshape(-1, 2)).reshape(len(far), -1) >= off
-    reach = far[np.argmin(free, axis=0)] - step
+    reach = np.asarray(far[np.argmin(free, axis=0)] - step, float)
     # Pixels make a jagged outline: a mean of neighbours, of which none is farther than it may be.
     least = np.min([np.roll(reach, k) for k in (-1, 0, 1)], axis=0)
-    return np.mean([np.roll(least, k) for k in (-1, 0, 1)], axis=0)
+    return np.asarray(np.mean([np.roll(least, k) for k in (-1, 0, 1)], axis=0), np.float64)
 
 
 def _least_depth(found: Opening, places: Array, off: float) -> Array:
