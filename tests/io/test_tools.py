@@ -116,6 +116,15 @@ def test_errors_name_the_tool(tools: Any, words: str) -> None:
         files.build_unchecked(_document(tools))
 
 
+def test_tools_cool_as_the_mold_does_so_far() -> None:
+    cooling = {"heat_capacity": 2000.0, "mold": 500.0, "mold_temperature": 40.0}
+    _document([_plug(temperature=40.0, heat_transfer=500.0)], cooling=cooling)
+    with pytest.raises(jaxform.InputError, match=r"tool.plug.temperature = 60.0: is not that of the mold, .* = 40; "):
+        _document([_plug(temperature=60.0)], cooling=cooling)
+    with pytest.raises(jaxform.InputError, match=r"tool.plug.heat_transfer = 5.0: is not that of .*cooling.mold = 500"):
+        _document([_plug(heat_transfer=5.0)], cooling=cooling)
+
+
 def test_a_tool_alone_may_form_the_sheet_but_not_one_that_rests() -> None:
     tables = _tables([PLUG])
     tables.pop("pressure")

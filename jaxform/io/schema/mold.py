@@ -84,9 +84,9 @@ class ToolTable(PlacedTable):
         direction: Direction of the motion, a vector of any length; without it, the tool rests.
         time: Knots of the motion [s].
         displacement: Displacement from the initial position at the knots [m]; the first is 0.
-        temperature: Temperature of the tool [degC], where the scene cools; that of the mold by default.
-        heat_transfer: Heat transfer coefficient to the tool [W/(m^2 K)], where the scene cools; that to the mold by
-            default.
+        temperature: Temperature of the tool [degC], where the scene cools; so far only that of the mold.
+        heat_transfer: Heat transfer coefficient to the tool [W/(m^2 K)], where the scene cools; so far only that to
+            the mold.
     """
 
     name: str | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -230,9 +230,21 @@ class SceneFile(Table):
     def _check_tools(self) -> SceneFile:
         check_names(self.tool)
         for number, table in enumerate(self.tool, 1):
-            for key in ("temperature", "heat_transfer"):
-                value = getattr(table, key)
-                if value is not None and self.cooling is None:
-                    problem, remedy = "has no effect, for the sheet does not cool", "give [cooling], or leave it out"
-                    raise validation_error(problem, remedy, f"tool.{tool_name(table, number)}.{key}", value)
+            _check_thermal(table, tool_name(table, number), self.cooling)
         return self
+
+
+_OF_MOLD = {"temperature": "mold_temperature", "heat_transfer": "mold"}  # keys of a tool, and those of [cooling]
+
+
+def _check_thermal(table: Any, name: str, cooling: CoolingTable | None) -> None:
+    """Raises for a temperature or heat transfer of a tool that is not the mold's: so far, tools cool as the mold does."""
+    for key, general in _OF_MOLD.items():
+        value = getattr(table, key)
+        if value is not None and cooling is None:
+            problem, remedy = "has no effect, for the sheet does not cool", "give [cooling], or leave it out"
+            raise validation_error(problem, remedy, f"tool.{name}.{key}", value)
+        if value is not None and value != getattr(cooling, general):
+            problem = f"is not that of the mold, cooling.{general} = {getattr(cooling, general):g}"
+            remedy = "tools of their own temperature are not supported yet: leave it out, or change that of all"
+            raise validation_error(problem, remedy, f"tool.{name}.{key}", value)
