@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -40,9 +40,10 @@ def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
     """
     own_plug = [] if made.plug is None or made.plug.path is None else [made.plug.path]
     sources = [*paths, *own_plug]
-    copies, added = _names(folder, sources, made), _added_meshes(made)
-    names, plug = copies[: len(paths)], PLUG if not own_plug else copies[-1]
+    added = _added_meshes(made)
     added |= {PLUG: made.plug.mesh} if made.plug is not None and made.plug.mesh is not None else {}
+    copies = _names(folder, sources, added)
+    names, plug = copies[: len(paths)], copies[-1] if own_plug else PLUG
     for name in added:
         if _is_one_of(folder / name, sources):
             problem = f"would be overwritten by {_CONTENT.get(name, 'the plug')}"
@@ -73,10 +74,13 @@ def cut_planes_text(planes: Sequence[Plane], scale: float) -> str:
     return " and ".join(f"{'xyz'[plane.axis]} = {_number(plane.level / scale, 4)}" for plane in planes)
 
 
-def _names(folder: Path, paths: Sequence[Path], made: Draft) -> list[str]:
-    """File names for the copies in a folder, each once, and none by which a copy overwrites another file's original."""
+def _names(folder: Path, paths: Sequence[Path], written: Collection[str] = ()) -> list[str]:
+    """File names for the copies in a folder, each once, and none by which a copy overwrites another file's original.
+
+    Nor is a name one of what is always, or now, `written`.
+    """
     names: list[str] = []
-    written = [*_CONTENT, *([PLUG] if made.plug is not None and made.plug.mesh is not None else [])]
+    written = {*_CONTENT, *written}
     for path in paths:
         # A name on disk may be no text.
         plain, count = Path(path.name.encode("utf-8", "replace").decode()), 1

@@ -238,7 +238,7 @@ _OF_MOLD = {"temperature": "mold_temperature", "heat_transfer": "mold"}  # keys 
 
 
 def _check_thermal(table: Any, name: str, cooling: CoolingTable | None) -> None:
-    """Raises for a temperature or heat transfer of a tool that is not the mold's: so far, tools cool as the mold does."""
+    """Raises for a temperature or heat transfer that is not the mold's: so far, tools cool the sheet as it does."""
     for key, general in _OF_MOLD.items():
         value = getattr(table, key)
         if value is not None and cooling is None:
