@@ -111,13 +111,14 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
         "refinement_loss",
         "viscous_loss",
         "cooling_loss",
+        "friction_loss",
         "kinetic_peak",
         "balance_error",
         "quasi_static_error",
     }
     assert summary["energy"]["balance_error"] < 1e-2
     part = meshio.read(out / "final.vtu")
-    assert set(part.point_data) == {"reference", "thickness", "initial_thickness", "contact_time"}
+    assert set(part.point_data) == {"reference", "thickness", "initial_thickness", "contact_time", "tool"}
     assert set(part.cell_data) == {"thickness", "stretch_1", "stretch_2", "level"}
     np.testing.assert_allclose(part.point_data["initial_thickness"], 1e-3)
     wall, first, second = (part.cell_data[key][0] for key in ("thickness", "stretch_1", "stretch_2"))
@@ -125,9 +126,11 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
     rim = np.hypot(*part.point_data["reference"][:, :2].T) > 0.0999
     np.testing.assert_allclose(part.points[rim], part.point_data["reference"][rim], atol=1e-15)
     assert np.all(part.point_data["contact_time"][rim] == 0)
+    assert np.array_equal(part.point_data["tool"], np.where(part.point_data["contact_time"] > 0, 0, -1))
     assert (out / "frames.pvd").read_text().count("<DataSet") == 3
     assert len(list((out / "frames").glob("*.vtu"))) == 3
     assert _picture_size(out / "thickness.png") == (1600, 700)
+    assert _picture_size(out / "process.png") == (1100, 600)  # pressure and contact
     assert summary["symmetry_planes"] == {"x": 0.0, "y": 0.0}
     assert (out / "simulated.toml").read_text() == scene_file.read_text()
     page = (out / "report.html").read_text()
