@@ -79,6 +79,7 @@ def show_stress(kill_client: bool) -> dict[str, Any]:
         folder.mkdir()
         alone.mkdir()
         options: dict[str, Any] = {"threads_per_worker": 1, "dashboard_address": None}
+        cluster: Any
         with LocalCluster(WORKERS, silence_logs=logging.CRITICAL, **options) as cluster:
             kills = _kill_workers(cluster)
             began = time.perf_counter()
