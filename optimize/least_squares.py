@@ -16,7 +16,8 @@ from optimize.designs import Point, Study
 from optimize.search import Search
 from optimize.termination import NO_STEP, STOPPED, Ending, check_convergence
 
-_FIRST_DAMPING, _DAMPING_STEP, _TRIALS = 1e-4, 10.0, 8
+_FIRST_DAMPING, _DAMPING_STEP, _TRIALS = 1e-4, 10.0, 10
+_LEAST_DAMPING = 1e-7  # so that the trials of a step reach from Gauss and Newton's to one down the slope
 _IDLE_STEPS = 3  # that bring next to nothing; where contact makes the value rough, one may be stuck and the next not
 _ROUNDING = 1e-14  # of the matrix' trace, by which rounding may make it lack a root
 _NO_ROOM = 1e-12  # in place of 0, between ends that the step needs apart
@@ -49,7 +50,7 @@ def _trials(search: Search, point: Point, matrix: np.ndarray, damping: float) ->
         step = _step(matrix, point.gradient, damping, -search.reach - point.free, search.reach - point.free)
         trial, _ = search.evaluate_forward(search.inside(point.free + step))
         if trial.value < point.value:
-            return trial, damping / _DAMPING_STEP
+            return trial, max(damping / _DAMPING_STEP, _LEAST_DAMPING)
         if search.stopped:
             break
         damping *= _DAMPING_STEP

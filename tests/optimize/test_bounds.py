@@ -17,7 +17,7 @@ from jaxform.mesh.profiles import Profile
 from optimize import termination
 from optimize.designs import Point
 from optimize.gradients import gradient_error, slope_within
-from optimize.least_squares import _step
+from optimize.least_squares import _step, _trials
 from optimize.variables import (
     SPAN,
     apply_bounds,
@@ -178,6 +178,29 @@ def test_a_damped_step_within_bounds_is_the_least_of_the_model() -> None:
     step = _step(matrix, gradient, 0.0, np.array([-9.0, -9.0]), np.array([0.2, 9.0]))
     np.testing.assert_allclose(step, [0.2, 1.4], rtol=1e-9)
     assert _step(matrix, gradient, 0.0, np.array([0.0, -9.0]), np.array([0.0, 9.0]))[0] == pytest.approx(0.0, abs=1e-11)
+
+
+def test_after_many_good_steps_a_short_one_is_still_found() -> None:
+    """Each good step lowers the damping; where the value turns rough then, only a short step makes it better."""
+    matrix, gradient, most = np.diag([2.0, 4.0]), np.array([2.0, -1.0]), [np.inf]
+
+    class Rough:
+        reach, stopped = np.full(2, 50.0), False
+
+        def inside(self, free: np.ndarray) -> np.ndarray:
+            return free
+
+        def evaluate_forward(self, free: np.ndarray) -> tuple[Point, None]:
+            value = 0.5 if np.abs(free).max() <= most[0] else 2.0
+            return Point(free, value, gradient), None
+
+    damping, point = 1e-4, Point(np.zeros(2), 1.0, gradient)
+    for _ in range(12):
+        step, damping = _trials(Rough(), point, matrix, damping)  # pyright: ignore[reportArgumentType]
+        assert step is not None
+    most[0] = 0.02  # a fiftieth of the undamped step
+    step, _ = _trials(Rough(), point, matrix, damping)  # pyright: ignore[reportArgumentType]
+    assert step is not None and np.abs(step.free).max() <= most[0] and step.free @ gradient < 0.0
 
 
 def test_a_reachable_target_takes_the_fixed_point_alone() -> None:
