@@ -70,6 +70,8 @@ def optimize_study(arguments: argparse.Namespace) -> int:
             arguments.warned.append(sentence)
             session.warn(sentence)
 
+        if executor is not None and study.starts > 1:
+            say(f"{study.starts} searches on {arguments.workers} processes")
         try:
             # Warnings about intermediate designs are not shown; the summary of the last one has its own.
             with warnings.catch_warnings():
