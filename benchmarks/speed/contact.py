@@ -104,7 +104,9 @@ def walk(
     flying = sticking.Landing(nodes, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
     now = sticking.ContactStep(once, once, jnp.int32(0))
     room = sticking.no_hits(stuck.size, end.dtype)
-    landed, _ = sticking.apply_contact(flying, now, [due], (mass, None), [window], (ContactSurface(wall, grid),), room)
+    landed, _ = sticking.apply_contact(
+        flying, now, [due], (mass, None), [window], (ContactSurface(wall, grid),), [stuck], room
+    )
     nodes = dataclasses.replace(landed.nodes, positions=jnp.asarray(landed.nodes.positions))
     landed = landed._replace(nodes=nodes)
     if differentiable:

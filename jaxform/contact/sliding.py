@@ -49,12 +49,16 @@ class ContactLosses(NamedTuple):
 
 
 class Slid(NamedTuple):
-    """The nodes (n,) after the step: positions [m], velocities [m/s], `wall`, whether they left, and the losses."""
+    """The nodes (n,) after the step: positions [m], velocities [m/s], `wall`, and the losses.
+
+    Also whether they left the surface, and whether that was over a ridge or a rim: such nodes moved along it so far.
+    """
 
     positions: Vector
     velocities: Vector
     wall: jax.Array
     left: jax.Array
+    over: jax.Array
     losses: ContactLosses
 
 
@@ -92,7 +96,9 @@ def slide_nodes(
     """
     moved = vector(x + steps[1] * v for x, v in zip(nodes.positions, nodes.free, strict=True))
     none = jnp.zeros_like(nodes.mass)
-    found = Slid(moved, nodes.free, nodes.wall, jnp.zeros_like(nodes.lies), ContactLosses(none, none, none, none))
+    found = Slid(
+        moved, nodes.free, nodes.wall, nodes.lies & False, nodes.lies & False, ContactLosses(none, none, none, none)
+    )
     for number, (surface, frame) in enumerate(zip(surfaces, frames, strict=True)):
         if surface.mold.contact.sticks:
             continue
@@ -130,44 +136,35 @@ def _slide_on(
     # In which direction the nodes are pressed: of the change of the velocity relative to the tool.
     held = dot(minus(nodes.velocities, carrier), normal)
     pressed = plus(minus(nodes.free, nodes.velocities), vector(held * n for n in normal))
-    start = Glide(
-        position=minus(nodes.positions, offset),
-        velocity=slip,
-        triangle=triangle,
-        side=side,
-        left=jnp.where(here & ~leaves, length, 0.0),
-        off=jnp.zeros_like(here),
-        lost=jnp.zeros_like(nodes.mass),
-    )
+    left = jnp.where(here & ~leaves, length, 0.0)
+    start = Glide.start(minus(nodes.positions, offset), slip, triangle, side, left)
     end = move_along(surface, start, pressed, nodes.mobile, differentiable=differentiable)
     last = facets(surface.mold, end.triangle, end.side)
     height = dot(minus(end.position, last.corners[0]), last.normal)
     place = minus(end.position, _within_planes(height, last.normal, nodes.mobile))
-    there = plus(place, vector(o + length * c for o, c in zip(offset, carrier, strict=True)))
     # What leaves begins a little off the surface: there it is on one side for sure.
     gap = _CLEAR * touch_distance(surface.grid)
+    clear = vector(jnp.where(end.off, gap * c * n, 0.0) for c, n in zip(nodes.mobile, end.outward, strict=True))
+    there = vector(x + a + o + length * c for x, a, o, c in zip(place, clear, offset, carrier, strict=True))
     away = _within_planes(gap, normal, nodes.mobile)
     flown = vector(x + a + length * v for x, a, v in zip(nodes.positions, away, nodes.free, strict=True))
-    thrown = vector(x + gap * n for x, n in zip(there_off(end, offset, carrier, length), normal, strict=True))
-    left = leaves | end.off
-    positions = vector(
-        jnp.where(leaves, f, jnp.where(end.off, t, x)) for f, t, x in zip(flown, thrown, there, strict=True)
-    )
+    positions = vector(jnp.where(leaves, f, x) for f, x in zip(flown, there, strict=True))
     on_tool = vector(jnp.where(leaves, f, w + c) for f, w, c in zip(nodes.free, slip, carrier, strict=True))
     velocities = vector(jnp.where(leaves, f, w + c) for f, w, c in zip(nodes.free, end.velocity, carrier, strict=True))
-    losses = _losses(nodes, on_tool, carrier, kick, damping)
+    losses = _losses(nodes, on_tool, normal, carrier, kick, damping, moves=frame is not None)
+    # A tool that moves does work where it turns a node's way.
+    turned = nodes.mass * dot(minus(velocities, on_tool), carrier)
+    # The forces' work on the way that was not straight, beyond that at the velocities.
+    means = (0.5 * length * (v + w) for v, w in zip(on_tool, velocities, strict=True))
+    bent = dot(nodes.nodal, minus(minus(positions, nodes.positions), vector(means)))
     return Slid(
         positions,
         velocities,
-        jnp.where(left, 0, end.side * (end.triangle + 1)),
-        left,
-        losses._replace(impact=nodes.mass * end.lost),
+        jnp.where(leaves | end.off, 0, end.side * (end.triangle + 1)),
+        leaves | end.off,
+        end.off,
+        losses._replace(work=losses.work + turned, impact=losses.impact + nodes.mass * end.lost + bent),
     )
-
-
-def there_off(end: Glide, offset: Vector, carrier: Vector, length: jax.Array) -> Vector:
-    """Where nodes are that flew off a surface, in the frame of the sheet, three times (n,) [m]."""
-    return vector(x + o + length * c for x, o, c in zip(end.position, offset, carrier, strict=True))
 
 
 def _within_planes(far: jax.Array, normal: Vector, mobile: Vector) -> Vector:
@@ -178,7 +175,14 @@ def _within_planes(far: jax.Array, normal: Vector, mobile: Vector) -> Vector:
 
 
 def _losses(
-    nodes: LyingNodes, velocities: Vector, carrier: Vector, kick: jax.Array, damping: jax.Array | None
+    nodes: LyingNodes,
+    velocities: Vector,
+    normal: Vector,
+    carrier: Vector,
+    kick: jax.Array,
+    damping: jax.Array | None,
+    *,
+    moves: bool,
 ) -> ContactLosses:
     """Work and losses (n,) [J] of a kick after which the nodes have these velocities."""
     mean = vector(0.5 * (new + old) for new, old in zip(velocities, nodes.velocities, strict=True))
@@ -187,10 +191,14 @@ def _losses(
     impulse = vector(
         c * (nodes.mass * (new - old) - kick * f + kick * rate * nodes.mass * v) for new, old, f, v, c in quads
     )
+    # Along the normal a node moves as the tool does, but for the tool's acceleration in the step.
+    slip, along = minus(mean, carrier), dot(impulse, normal)
+    pushed = along * dot(slip, normal)
+    friction = pushed - dot(impulse, slip)
     return ContactLosses(
-        work=dot(impulse, carrier),
-        friction=dot(impulse, minus(carrier, mean)),
-        impact=jnp.zeros_like(nodes.mass),
+        work=dot(impulse, carrier) + (pushed if moves else 0.0),
+        friction=friction,
+        impact=jnp.zeros_like(nodes.mass) if moves else -pushed,
         damping=kick * rate * nodes.mass * dot(mean, mean),
     )
 
@@ -230,8 +238,7 @@ def land_and_slide(
     slip = project_on_plane(velocities, normal, mobile)
     push = jnp.maximum(-dot(minus(velocities, slip), normal), 0.0)
     slip = surface.mold.contact.limit_slip(slip, push)
-    none = jnp.zeros_like(left)
-    start = Glide(point, slip, triangle, side, left, none > 0.0, none)
+    start = Glide.start(point, slip, triangle, side, left)
     end = move_along(surface, start, minus(velocities, slip), mobile, differentiable=differentiable)
     # It leaves no surface in the step in which it comes to it.
     last = facets(surface.mold, end.triangle, end.side)

@@ -86,6 +86,7 @@ def apply_contact(
     mass: tuple[jax.Array, jax.Array | None],
     candidates: Sequence[Candidates],
     surfaces: tuple[ContactSurface, ...],
+    known: Sequence[jax.Array],
     room: FirstHits,
 ) -> tuple[Landing, FirstHits]:
     """Puts the nodes that crossed a surface in this step where they met it. Not differentiable.
@@ -98,12 +99,13 @@ def apply_contact(
         mass: Nodal masses (n_node,) [kg], and compliances (3, n_node) [1/kg] where nodes may slide.
         candidates: Of each surface, its list.
         surfaces: The surfaces.
+        known: Of each surface, `touches_already`.
         room: Workspace for the nodes' hits, from `no_hits`. It is returned as it was.
     """
     count = sum(each.count for each in due)
     return lax_cond_once(
         jnp.asarray(count) > 0,
-        lambda both: _place_hit_nodes(*both, now, mass, candidates, due, surfaces),
+        lambda both: _place_hit_nodes(*both, now, mass, candidates, due, surfaces, known),
         (landing, room),
     )
 
@@ -255,15 +257,14 @@ def _place_hit_nodes(
     candidates: Sequence[Candidates],
     due: Sequence[DueBlocks],
     surfaces: tuple[ContactSurface, ...],
+    known: Sequence[jax.Array],
 ) -> tuple[Landing, FirstHits]:
     """The landing of the nodes that met a surface, one after the other, since they are few; not differentiable."""
     nodes, met = landing.nodes, room
     for number, (surface, first) in enumerate(zip(surfaces, first_numbers(surfaces), strict=False)):
         paths = _NodePaths(nodes.positions, nodes.velocities, now.length, now.frames[number])
         touch = touch_distance(surface.grid)
-        met = _first_hits(
-            paths, touches_already(nodes, number, surface), candidates[number], due[number], touch, met, first
-        )
+        met = _first_hits(paths, known[number], candidates[number], due[number], touch, met, first)
 
     def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
         landing, beta, chosen = carry
@@ -295,11 +296,12 @@ def _place_hit_nodes(
     return landing, FirstHits(beta, chosen, met.listed, jnp.int32(0))
 
 
-def touches_already(nodes: Nodes, number: int, surface: ContactSurface) -> jax.Array:
-    """Nodes (n,) that are not tested against a surface: they are stuck, or lie on it."""
+def touches_already(nodes: Nodes, number: int, surface: ContactSurface, over: jax.Array | None = None) -> jax.Array:
+    """Nodes (n,) that are not tested against a surface: they are stuck, or lie on it, or just went over its edge."""
     if surface.mold.contact.sticks:
         return nodes.stuck
-    return nodes.stuck | (nodes.wall != 0) & on_surface(nodes.tool, number)
+    touched = nodes.wall != 0
+    return nodes.stuck | (touched if over is None else touched | over) & on_surface(nodes.tool, number)
 
 
 def place_on_surfaces(

@@ -82,13 +82,22 @@ def search_contact(
     scene: Scene,
     now: WindowData,
     frames: tuple[ToolFrame | None, ...],
+    over: jax.Array | None,
 ) -> WindowState:
-    """Contact of one step; where a node is about to leave its sphere, another list is due."""
+    """Contact of one step; where a node is about to leave its sphere, another list is due.
+
+    Nodes that went `over` an edge (n_node,) are not tested against that surface: their paths are not straight.
+    """
     assert moved.hits is not None
-    found = [_active_pairs(moved, listed, scene, now, number) for number, listed in enumerate(candidates)]
+    known = [
+        sticking.touches_already(moved.nodes, number, surface, over) for number, surface in enumerate(scene.surfaces)
+    ]
+    found = [
+        _active_pairs(moved, listed, scene, now, number, known[number]) for number, listed in enumerate(candidates)
+    ]
     flying, this = _free_flight(moved, length, now, frames)
     due, mass = [pairs.due for pairs in found], _masses(scene, now)
-    landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, moved.hits)
+    landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, known, moved.hits)
     missed = functools.reduce(operator.or_, [seen.missed for seen in moved.last_checks])
     return dataclasses.replace(
         _apply_landing(moved, landing),
@@ -163,11 +172,10 @@ def any_missed(moving: WindowState, candidates: Sequence[Candidates], scene: Sce
 
 
 def _active_pairs(
-    moved: WindowState, candidates: Candidates, scene: Scene, now: WindowData, number: int
+    moved: WindowState, candidates: Candidates, scene: Scene, now: WindowData, number: int, touches: jax.Array
 ) -> ActivePairs:
     """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
     positions, _ = to_tool_frame(moved, scene, now, number)
-    touches = sticking.touches_already(moved.nodes, number, scene.surfaces[number])
     state = jax.lax.stop_gradient((positions, moved.nodes.stuck, touches, candidates))
     blocks = now.active.packed.elements.node_block_count
     found = lax_cond_once(

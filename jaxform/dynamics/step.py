@@ -104,7 +104,8 @@ def step(
     if isinstance(contact, KnownContact):
         moved = replay_contact(moved, length, scene, contact, now, frames)
     elif contact is not None:
-        moved = search_contact(moved, length, contact, scene, now, frames)
+        over = None if taken.slid is None else taken.slid[2]
+        moved = search_contact(moved, length, contact, scene, now, frames, over)
     elif moving.room is None:
         moved = dataclasses.replace(moved, halted=check_free_flight(moved, scene, now))
     moved = _add_rim_volume(moved, moving.halted, rim, now)
@@ -115,7 +116,7 @@ def _contact_change(moving: WindowState, taken: _AdvancedNodes) -> dict[str, jax
     """The nodes' contact after the step, where nodes may slide."""
     if taken.slid is None:
         return {}
-    wall, left = taken.slid
+    wall, left, _ = taken.slid
     return {"wall": wall, "contact_time": jnp.where(left, -1.0, moving.nodes.contact_time)}
 
 
@@ -189,7 +190,8 @@ class _AdvancedNodes(NamedTuple):
     """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
 
     And what elements remember, None where they have no viscous modes; the work of tools that move, and losses by
-    friction and impact [J]. Where nodes may slide: what they touch (n,), and whether they left a tool.
+    friction and impact [J]. Where nodes may slide: what they touch (n,), whether they left a tool, and whether over its
+    edge.
     """
 
     positions: jax.Array | membrane.Vector
@@ -201,7 +203,7 @@ class _AdvancedNodes(NamedTuple):
     work: jax.Array | float = 0.0
     friction: jax.Array | float = 0.0
     impact: jax.Array | float = 0.0
-    slid: tuple[jax.Array, jax.Array] | None = None
+    slid: tuple[jax.Array, jax.Array, jax.Array] | None = None
 
 
 def _advance_nodes(
@@ -250,7 +252,7 @@ def _advance_nodes(
         work=work + total(lost.work),
         friction=total(lost.friction),
         impact=total(lost.impact),
-        slid=(jnp.where(lies, slid.wall, own.wall), lies & slid.left),
+        slid=(jnp.where(lies, slid.wall, own.wall), lies & slid.left, lies & slid.over),
     )
 
 
@@ -337,7 +339,7 @@ def _slide_in_blocks(
     elements = now.active.packed.elements
 
     def slide(old: Any, table: Any, lies: Any, nodes: Any) -> Any:
-        (x,), (y,), (z,), before, (wall,), (left,) = old
+        (x,), (y,), (z,), before, (wall,), (left,), (over,) = old
         stuck, mass, compliance, tool = nodes
         nodal = add_gravity(gather_shares(corners, table), mass, scene.solver.gravity)
         free, _ = update_velocity(nodal, before, (stuck, mass, compliance), kick, damping)
@@ -348,7 +350,8 @@ def _slide_in_blocks(
         slid = slide_nodes(lying, (kick, length), scene.surfaces, frames, damping, differentiable=False)
         places = [[jnp.where(lies, new, x)] for new, x in zip(slid.positions, (x, y, z), strict=True)]
         speeds = [jnp.where(lies, new, v) for new, v in zip(slid.velocities, before, strict=True)]
-        rows = [*places, speeds, [jnp.where(lies, slid.wall, wall)], [jnp.where(lies, slid.left, left)]]
+        rows = [*places, speeds, [jnp.where(lies, slid.wall, wall)]]
+        rows += [[jnp.where(lies, slid.left, left)], [jnp.where(lies, slid.over, over)]]
         return rows, [jnp.where(lies, x, 0.0) for x in slid.losses]
 
     def work(old: Any, table: Any, stuck: Any, wall: Any, nodes: Any) -> Any:
@@ -358,8 +361,9 @@ def _slide_in_blocks(
         return jax.lax.cond(jnp.any(lies), slide, lambda old, *_: (old, none), *state)
 
     inputs = gather_table(elements), own.stuck, own.wall, (now.active.mass, now.active.compliance, own.tool)
-    into = [*(x[None] for x in taken.positions), taken.velocities, own.wall[None], jnp.zeros_like(own.stuck)[None]]
-    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=4, update=6)
+    none = jnp.zeros_like(own.stuck)[None]
+    into = [*(x[None] for x in taken.positions), taken.velocities, own.wall[None], none, none]
+    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=4, update=7)
     return taken._replace(
         positions=vector(row for (row,) in new[:3]),
         velocities=new[3],
@@ -367,5 +371,5 @@ def _slide_in_blocks(
         friction=sums[1],
         impact=sums[2],
         loss=taken.loss + sums[3],
-        slid=(new[4][0], new[5][0]),
+        slid=(new[4][0], new[5][0], new[6][0]),
     )

@@ -57,7 +57,8 @@ class Glide(NamedTuple):
         triangle: The triangle that they are on.
         side: 1 on the side of its normal, -1 on the other.
         left: The part of the step that is left (n,) [s].
-        off: Whether they have left the surface.
+        off: Whether they have left the surface; they wait where they did.
+        outward: A direction off the surface there, three times (n,).
         lost: Kinetic energy over mass that they lost in valleys [J/kg].
     """
 
@@ -67,7 +68,14 @@ class Glide(NamedTuple):
     side: jax.Array
     left: jax.Array
     off: jax.Array
+    outward: Vector
     lost: jax.Array
+
+    @classmethod
+    def start(cls, position: Vector, velocity: Vector, triangle: jax.Array, side: jax.Array, left: jax.Array) -> Glide:
+        """Nodes that begin on these triangles."""
+        none = jnp.zeros_like(left)
+        return cls(position, velocity, triangle, side, left, none > 0.0, (none, none, none), none)
 
 
 class Facets(NamedTuple):
@@ -108,9 +116,9 @@ def move_along(
 ) -> Glide:
     """Moves nodes (n,) along a surface for the rest of a step, from triangle to triangle.
 
-    Over a ridge a node goes round with its speed where it is pressed onto the next face, else it flies straight on and
-    has left the surface, as beyond a rim. In a valley it loses the speed across the next face; where it cannot go up
-    that, it goes along the valley.
+    Over a ridge a node goes round with its speed where it is pressed onto the next face; else, as at a rim, it leaves
+    the surface, and flies straight on from the next step on. In a valley it loses the speed across the next face; where
+    it cannot go up that, it goes along the valley.
 
     Args:
         surface: The surface, with its neighbors.
@@ -178,15 +186,17 @@ def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vec
     target = vector(jnp.where(stays, a, b) for a, b in zip(here.normal, there.normal, strict=True))
     new = project_on_plane(new, target, mobile)
     lost = jnp.where(crosses & ~ridge, 0.5 * (dot(velocity, velocity) - dot(new, new)), 0.0)
-    onward = vector(x + left * w for x, w in zip(place, velocity, strict=True))
+    alone = number == 0
+    away = vector(a + jnp.where(alone, 0.0, b) for a, b in zip(here.normal, there.normal, strict=True))
     moves_over = crosses & ~stays
     return Glide(
-        position=vector(jnp.where(flies, o, x) for o, x in zip(onward, place, strict=True)),
+        position=place,
         velocity=vector(jnp.where(crosses, n, w) for n, w in zip(new, velocity, strict=True)),
         triangle=jnp.where(moves_over, beyond, glide.triangle),
         side=jnp.where(moves_over, other_side, glide.side),
         left=jnp.where(flies | glide.off, 0.0, left),
         off=glide.off | flies,
+        outward=vector(jnp.where(flies, a, b) for a, b in zip(away, glide.outward, strict=True)),
         lost=glide.lost + lost,
     )
 
