@@ -117,13 +117,13 @@ def move_along(
     """Moves nodes (n,) along a surface for the rest of a step, from triangle to triangle.
 
     Over a ridge a node goes round with its speed where it is pressed onto the next face; else, as at a rim, it leaves
-    the surface, and flies straight on from the next step on. In a valley it loses the speed across the next face; where
-    it cannot go up that, it goes along the valley.
+    the surface, and flies straight on from the next step on. In a valley it loses the speed into the next face; where
+    it would not get up that for longer than a step, it goes along the valley.
 
     Args:
         surface: The surface, with its neighbors.
         start: The nodes.
-        pressed: A vector, three times (n,), in whose direction they are pressed.
+        pressed: What the forces change their velocities by in the step, three times (n,) [m/s].
         mobile: 1 where a component of the velocity may change, else 0, three times (n,).
         differentiable: Whether loops have a fixed number of passes.
     """
@@ -180,7 +180,9 @@ def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vec
 
     round_it = vector(along * e + across * m for e, m in zip(edge, inward, strict=True))
     up_it = project_on_plane(velocity, there.normal, mobile)
-    stays = ~ridge & (dot(up_it, inward) <= 0.0)  # in the valley
+    # In the valley, from which the next face leads up: a node that would be back within the step is at rest there.
+    back = jnp.maximum(-dot(pressed, inward), 0.0)
+    stays = ~ridge & (dot(up_it, inward) <= back)
     within = vector(along * e for e in edge)
     new = vector(jnp.where(ridge, r, jnp.where(stays, w, u)) for r, w, u in zip(round_it, within, up_it, strict=True))
     target = vector(jnp.where(stays, a, b) for a, b in zip(here.normal, there.normal, strict=True))
