@@ -87,6 +87,8 @@ RANGES: dict[str, Range] = {
     "mold.motion.time": Range("s", increasing=True),
     "mold.motion.displacement": Range("m"),
     "mold.contact.friction": Range(least=0.0),
+    "mold.temperature": Range("degC", above=-273.15, most=3000.0),
+    "mold.heat_transfer": Range("W/(m^2 K)", least=0.0),
     "material.density": Range("kg/m^3", above=0.0),
     "parison.temperature": Range("degC", above=-273.15, most=3000.0),
     "material.shift.reference": Range("degC", above=-273.15, most=3000.0),
@@ -139,6 +141,8 @@ DESIGNABLE = [
     "mold.motion.time",
     "mold.motion.displacement",
     "mold.contact.friction",
+    "mold.temperature",
+    "mold.heat_transfer",
 ]
 """What `replace` may put in; the place of each is its bit in `Result.out_of_range`. A law may add to it."""
 WORDS, BITS = 4, 31  # whole numbers in which it is told which are out of range, and how many in each

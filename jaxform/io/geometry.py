@@ -292,7 +292,8 @@ def _build_surface(
     if isinstance(table, schema.MeshFile | schema.Revolved):
         shape, _ = _merge_slivers(shape, store)
     law = make_contact_law(table.contact, table.friction if table.contact == "coulomb" else None)
-    return make_mold(shape.vertices, shape.triangles, shape.dropped, moves, law, name)
+    warmth = {key: getattr(table, key, None) for key in ("temperature", "heat_transfer")}
+    return make_mold(shape.vertices, shape.triangles, shape.dropped, moves, law, name, **warmth)
 
 
 def _built_in_shape(kind: type, numbers: dict[str, Any], store: Store | None) -> molds.MoldShape:

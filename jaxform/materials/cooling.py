@@ -7,6 +7,9 @@ resistance that follows from the heat through both.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
@@ -15,6 +18,21 @@ from jaxform.core.pytree import pytree
 from jaxform.core.ranges import RANGES
 
 _SHORT = 1e-3  # of the time that cooling takes: shorter times take a series
+
+
+class ToolContact(NamedTuple):
+    """Contact of walls (n,) with a tool: the share of one side, in area and time; the tool's numbers.
+
+    These are its heat transfer coefficient [W/(m^2 K)] and its temperature [degC].
+    """
+
+    share: jax.Array
+    heat_transfer: jax.Array
+    temperature: jax.Array
+
+
+Touching = jax.Array | Sequence[ToolContact]
+"""Share (n,) of one side, in area and time, in contact with the mold; or the contact with each of several tools."""
 
 
 @pytree
@@ -38,31 +56,36 @@ class Cooling:
     conductivity: jax.Array | None = ranged_parameter(RANGES["cooling.conductivity"], default=None)
 
     def cooled(
-        self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array, time: jax.Array
+        self, temperature: jax.Array, wall: jax.Array, touching: Touching, density: jax.Array, time: jax.Array
     ) -> jax.Array:
         """Temperatures [degC] after a time, exact where nothing else changes.
 
         Args:
             temperature: Mean over the thickness (n,) [degC].
             wall: Thickness (n,) [m].
-            touching: Share (n,) of one side, in area and time, in contact with the mold.
+            touching: Share (n,) of one side, in area and time, in contact with the mold, or that with each tool.
             density: [kg/m^3], a number or (n,).
             time: [s], a number or (n,).
         """
         rate, loss = self._rates(temperature, wall, touching, density)
         return temperature - time * loss * _mean_decay(time * rate)
 
-    def pace(self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array) -> jax.Array:
+    def pace(self, temperature: jax.Array, wall: jax.Array, touching: Touching, density: jax.Array) -> jax.Array:
         """Cooling rate (n,) [K/s] of walls; arguments as in `cooled`."""
         return self._rates(temperature, wall, touching, density)[1]
 
     def _rates(
-        self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array
+        self, temperature: jax.Array, wall: jax.Array, touching: Touching, density: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """Rate constants (n,) [1/s] of walls towards the ambient temperature, and their cooling rates [K/s]."""
         free = self._heat_transfer(self.air, self.air_temperature, wall)
-        held = self._heat_transfer(self.mold, self.mold_temperature, wall)
-        conductance, drive = (away + touching * (on - away) for away, on in zip(free, held, strict=True))
+        tools = touching
+        if not isinstance(touching, Sequence):
+            tools = [ToolContact(touching, self.mold, self.mold_temperature)]
+        conductance, drive = free
+        for share, coefficient, other in tools:
+            held = self._heat_transfer(coefficient, other, wall)
+            conductance, drive = conductance + share * (held[0] - free[0]), drive + share * (held[1] - free[1])
         each = 1.0 / (density * self.heat_capacity * wall)
         return each * conductance, each * (conductance * temperature - drive)
 

@@ -208,6 +208,24 @@ class Scene:
         return tuple(None if motion is None else motion.frame(begin, end) for motion in motions)
 
     @property
+    def tool_warmth(self) -> tuple[tuple[jax.Array, jax.Array], ...] | None:
+        """Heat transfer coefficient [W/(m^2 K)] and temperature [degC] of each surface; None where there is only one.
+
+        So it is where the mold alone cools the sheet by the numbers of `cooling`.
+        """
+        tools, cooling = [surface.mold for surface in self.surfaces], self.cooling
+        own = any(tool.temperature is not None or tool.heat_transfer is not None for tool in tools)
+        if cooling is None or (len(tools) < 2 and not own):
+            return None
+        return tuple(
+            (
+                cooling.mold if tool.heat_transfer is None else tool.heat_transfer,
+                cooling.mold_temperature if tool.temperature is None else tool.temperature,
+            )
+            for tool in tools
+        )
+
+    @property
     def adaptivity(self) -> Adaptivity | None:
         """Limits and hierarchy of the adaptive refinement; None for a fixed mesh."""
         limits, forest = self.refinement, self.tables.forest

@@ -80,7 +80,7 @@ _LEAST_WALL = 0.3  # of the initial thickness, of a wall that windows are planne
 _ON_MOLD = 2 / 3  # of an element, that touches the mold while it still moves
 
 
-def validate_cooling(given: Cooling | None, fields: Collection[str], mold: Mold | None) -> Cooling | None:
+def validate_cooling(given: Cooling | None, fields: Collection[str], surfaces: Sequence[Mold]) -> Cooling | None:
     """The cooling of a scene, with arrays for numbers.
 
     Raises:
@@ -96,7 +96,7 @@ def validate_cooling(given: Cooling | None, fields: Collection[str], mold: Mold 
     if "temperature" in fields:
         problem = "has the name of the sheet's temperature, which the scene computes"
         raise InputError(problem, "give it another name", "fields.temperature")
-    if float(given.mold) > 0.0 and mold is None:
+    if float(given.mold) > 0.0 and not surfaces:
         warn_of("there is no mold to cool the sheet", "give [mold], or leave it out", key="cooling.mold")
     return _replace_values(given, {name: as_real(getattr(given, name)) for name in names})
 
@@ -139,20 +139,25 @@ def check_temperature(material: Law, parison: Parison, cooling: Cooling | None) 
 
 
 def coldest_temperature(
-    parison: Parison, cooling: Cooling | None, solver: Solver, material: Law
+    parison: Parison, cooling: Cooling | None, solver: Solver, material: Law, tools: Sequence[Mold] = ()
 ) -> tuple[jax.Array | None, float]:
     """The temperature (n_node,) [degC] that windows are planned for, and by how much the sheet cools at most [K].
 
-    They are computed for a thin wall at the end, in the air and beside the mold.
+    They are computed for a thin wall at the end, in the air and beside the mold or any of the tools.
     """
     temperature = parison.temperature
     if cooling is None or temperature is None:
         return temperature, 0.0
-    thin = temperature, _LEAST_WALL * parison.thickness
-    free, beside = (
-        cooling.cooled(*thin, as_real(share), material.density, solver.end_time) for share in (0.0, _ON_MOLD)
-    )
-    most = max(float(np.abs(np.asarray(temperature - each)).max()) for each in (free, beside))
+    thin, rest = (temperature, _LEAST_WALL * parison.thickness), (material.density, solver.end_time)
+    free = cooling.cooled(*thin, as_real(0.0), *rest)
+    beside = [cooling.cooled(*thin, as_real(_ON_MOLD), *rest)]
+    for tool in tools:
+        numbers = {
+            "mold": cooling.mold if tool.heat_transfer is None else tool.heat_transfer,
+            "mold_temperature": cooling.mold_temperature if tool.temperature is None else tool.temperature,
+        }
+        beside.append(_replace_values(cooling, numbers).cooled(*thin, as_real(_ON_MOLD), *rest))
+    most = max(float(np.abs(np.asarray(temperature - each)).max()) for each in (free, *beside))
     return jnp.minimum(temperature, free), most
 
 

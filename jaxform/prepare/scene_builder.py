@@ -129,13 +129,14 @@ def build_scene(
     parison, solver = cast_to_precision(parison), cast_to_precision(solver)
     mold, refinement = cast_to_precision(mold), cast_to_precision(refinement)
     tools = component_validation.validate_tools([cast_to_precision(tool) for tool in tools])
+    surfaces = [*([] if mold is None else [mold]), *tools]
     check_part(part, None if mold is None else len(mold.triangles))
     pressure, count = component_validation.validate_loading(pressure), len(parison.positions)
     component_validation.check_weight(solver, refinement)
     if refinement is not None and forest is None:
         forest, parison = build_hierarchy(parison, refinement)
     material = component_validation.validate_law(material, count, forest)
-    cooling = component_validation.validate_cooling(cooling, fields or {}, mold)
+    cooling = component_validation.validate_cooling(cooling, fields or {}, surfaces)
     component_validation.check_temperature(material, parison, cooling)
     carried = {
         str(key): component_validation.validate_field(str(key), one, count, forest)
@@ -143,7 +144,6 @@ def build_scene(
     }
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
-    surfaces = [*([] if mold is None else [mold]), *tools]
     grids: list[SearchGrid] = []
     in_contact: tuple[np.ndarray, np.ndarray] | None = None
     for number, surface in enumerate(surfaces):
@@ -184,7 +184,7 @@ def build_scene(
         of_forest = parison.unstretched(forest.positions)
         grown = pack_forest(forest, refinement, sheet, mobility, bend, fine, of_forest)
         bound = grown.bound
-    cold, change = component_validation.coldest_temperature(parison, cooling, solver, material)
+    cold, change = component_validation.coldest_temperature(parison, cooling, solver, material, surfaces)
     law = material.at(cold)
     steep = stiffens_steeply(law)
     expected = (

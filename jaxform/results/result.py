@@ -25,7 +25,7 @@ from jaxform.sheet.energy_balance import (
     present_pressure,
     strain_energy,
 )
-from jaxform.sheet.heat import ThermalElements, ThermalState, contact_share, temperature_change
+from jaxform.sheet.heat import ThermalElements, ThermalState, temperature_change, tool_contact
 from jaxform.sheet.scheme import present_kinetic_energy
 from jaxform.sheet.state import LOSS, Schedule, State, Taken, is_at_rest
 
@@ -346,13 +346,13 @@ def _change_of_temperature(
         return None
     used, time = sheet.area > 0.0, state.time
     wall = now.thickness * jnp.where(used, ratio, 1.0)
-    share = contact_share(nodes, sheet.triangles, heat.time, time)
+    share = tool_contact(scene, nodes, sheet.triangles, heat.time, time)
     density = now.zones.get("density", scene.material.density)
     walls = ThermalElements(now.temperature, wall, share, density)
     change = temperature_change(heat, cooling, walls, time)
     # Contact does not change after that.
     since = jnp.broadcast_to(time, change.shape)
-    walls = walls._replace(share=contact_share(nodes, sheet.triangles, since, time))
+    walls = walls._replace(share=tool_contact(scene, nodes, sheet.triangles, since, time))
     still = (state.status == 0) & is_at_rest(state, scene) & last
     end = jnp.where(still, jnp.maximum(scene.solver.end_time, time), time)
     change = temperature_change(ThermalState(change, since, change), cooling, walls, end)

@@ -189,6 +189,8 @@ def pad_mold(mold: Mold) -> Mold:
         triangles=pad_with_first(np.asarray(mold.triangles).T, triangles).T,
         motion=None if mold.motion is None else _pad_motion(mold.motion),
         contact=mold.contact,
+        temperature=mold.temperature,
+        heat_transfer=mold.heat_transfer,
     )
 
 

@@ -19,7 +19,7 @@ from jaxform.mechanics.elements import masked_metrics
 from jaxform.model.scene import Scene
 from jaxform.sheet.active_set import ActiveSet, InitialProperties
 from jaxform.sheet.energy_balance import stored_energy
-from jaxform.sheet.heat import ThermalElements, ThermalState, at_temperature, contact_share, temperature_change
+from jaxform.sheet.heat import ThermalElements, ThermalState, at_temperature, temperature_change, tool_contact
 from jaxform.sheet.state import PackedState, can_move
 
 
@@ -43,11 +43,11 @@ def cool_state(
         _, *edges = membrane.edges(positions, triangles)
         there = can_move(nodes.stuck, triangles, area)
         determinant = membrane.invariants(*masked_metrics(there, membrane.metric(*edges), inverse)).determinant
-        share, now = contact_share(nodes, triangles, before.time, time), jnp.broadcast_to(time, there.shape)
+        share, now = tool_contact(scene, nodes, triangles, before.time, time), jnp.broadcast_to(time, there.shape)
         density = begun.zones.get("density", law.density)
         walls = ThermalElements(begun.temperature, thickness / jnp.sqrt(determinant), share, density)
         change = temperature_change(before, cooling, walls, time)
-        walls = walls._replace(share=contact_share(nodes, triangles, now, time))
+        walls = walls._replace(share=tool_contact(scene, nodes, triangles, now, time))
         # As if the window were as long as the last one. One that is retried begins as it did.
         middle = time + 0.5 * jnp.minimum(time - before.time, longest)
         felt = temperature_change(ThermalState(change, now, change), cooling, walls, middle)

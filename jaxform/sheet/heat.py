@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.core.pytree import as_real, pytree
-from jaxform.materials import Cooling, Law, Modes
+from jaxform.materials import Cooling, Law, Modes, ToolContact, Touching
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Nodes
+from jaxform.model.scene import Scene
 
 
 @pytree
@@ -53,28 +54,42 @@ def at_temperature(
     return law.zones, law.viscous
 
 
-def contact_share(nodes: Nodes, triangles: jax.Array, begin: jax.Array, end: jax.Array) -> jax.Array:
-    """Share (n,) of elements' area and of the time from `begin` (n,) to `end` [s] that touched the mold.
+def tool_contact(scene: Scene, nodes: Nodes, triangles: jax.Array, begin: jax.Array, end: jax.Array) -> Touching:
+    """Share (n,) of elements' area and of the time from `begin` (n,) to `end` [s] that touched the mold, or each tool.
 
     Where that is no time, what touches it now.
     """
+    warmth = scene.tool_warmth
+    if warmth is None:
+        return _contact_share(nodes, triangles, begin, end, None)
+    shares = (_contact_share(nodes, triangles, begin, end, number) for number in range(len(warmth)))
+    return [ToolContact(share, *own) for share, own in zip(shares, warmth, strict=True)]
+
+
+def _contact_share(
+    nodes: Nodes, triangles: jax.Array, begin: jax.Array, end: jax.Array, number: int | None
+) -> jax.Array:
+    """The share (n,) for the tool of this number; None of the only one."""
     passed = end > begin
     whole, share = jnp.where(passed, end - begin, 1.0), jnp.zeros_like(begin)
     for corner in triangles:
         since = jnp.clip((end - membrane.gather(nodes.contact_time, corner)) / whole, 0.0, 1.0)
-        share += jnp.where(membrane.gather(nodes.wall, corner) != 0, jnp.where(passed, since, 1.0), 0.0)
+        touches = membrane.gather(nodes.wall, corner) != 0
+        if number is not None and nodes.tool is not None:
+            touches &= membrane.gather(nodes.tool, corner) == number
+        share += jnp.where(touches, jnp.where(passed, since, 1.0), 0.0)
     return share / 3.0
 
 
 class ThermalElements(NamedTuple):
-    """Cooling elements (n,): initial temperature [degC], thickness [m], share in contact with the mold, density.
+    """Cooling elements (n,): initial temperature [degC], thickness [m], contact with tools, density.
 
-    The share is of one side, of its area and of the time; the density [kg/m^3] is a number or (n,).
+    The density [kg/m^3] is a number or (n,).
     """
 
     temperature: jax.Array
     thickness: jax.Array
-    share: jax.Array
+    share: Touching
     density: jax.Array
 
 

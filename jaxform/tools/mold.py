@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real, pytree, static
+from jaxform.core.ranges import check_one
 from jaxform.mesh import meshes
 from jaxform.tools.contact_law import ContactLaw, Stick
 from jaxform.tools.motion import Motion
@@ -27,6 +28,8 @@ class Mold:
         motion: Its motion, which nodes in contact follow; None if it is at rest.
         contact: The contact law.
         name: Its name; "" of the mold, and where names do not matter.
+        temperature: Its temperature [degC]; None where it is `Cooling.mold_temperature`.
+        heat_transfer: Heat transfer coefficient from the sheet to it [W/(m^2 K)]; None where it is `Cooling.mold`.
     """
 
     vertices: jax.Array
@@ -35,6 +38,8 @@ class Mold:
     motion: Motion | None = None
     contact: ContactLaw = dataclasses.field(default_factory=Stick)
     name: str = static(default="")
+    temperature: jax.Array | None = None
+    heat_transfer: jax.Array | None = None
 
     def vertices_at(self, time: float) -> NDArray[np.float64]:
         """The vertices (n_vertex, 3) [m] at a time [s]; on the host."""
@@ -63,6 +68,8 @@ def make_mold(
     motion: Motion | None = None,
     contact: ContactLaw | None = None,
     name: str = "",
+    temperature: float | None = None,
+    heat_transfer: float | None = None,
 ) -> Mold:
     """A mold, or another tool, from vertices (n_vertex, 3) [m] and triangles (n_triangle, 3).
 
@@ -75,6 +82,8 @@ def make_mold(
         motion: Its motion; None if it is at rest.
         contact: The contact law, from `make_contact_law`; by default nodes stick.
         name: Name of the tool.
+        temperature: Temperature of the tool [degC], where the sheet cools; by default `Cooling.mold_temperature`.
+        heat_transfer: Heat transfer coefficient to it [W/(m^2 K)]; by default `Cooling.mold`.
 
     Raises:
         InputError: If no triangle has an area, a triangle has a vertex that does not exist, or a coordinate is not
@@ -89,4 +98,9 @@ def make_mold(
     if np.all(bad):
         raise InputError("the mold has no triangles", "give a surface mesh of triangles", key="mold")
     law = Stick() if contact is None else contact
-    return Mold(as_real(vertices), as_index(triangles[~bad]), dropped + int(bad.sum()), motion, law, name)
+    warmth = {"temperature": temperature, "heat_transfer": heat_transfer}
+    for key, value in warmth.items():
+        if value is not None:
+            check_one(f"mold.{key}", value)
+    numbers = {key: None if value is None else as_real(value) for key, value in warmth.items()}
+    return Mold(as_real(vertices), as_index(triangles[~bad]), dropped + int(bad.sum()), motion, law, name, **numbers)

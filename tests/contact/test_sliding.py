@@ -217,28 +217,36 @@ def test_capstan(friction: float, degrees: float) -> None:
     assert 0.0 < float(result.energy.friction_loss) < float(result.energy.tool_work)
 
 
-def _plug(law: jaxform.ContactLaw | None, depth: float, radius: float = 0.3) -> jaxform.Mold:
+def _plug(law: jaxform.ContactLaw | None, depth: float, radius: float = 0.3, **warmth: Any) -> jaxform.Mold:
     reach = radius / np.cos(np.pi / 96) * (1 + 1e-9)  # round the circle
     made = molds.revolved(profile=[[0.0, 0.0], [reach, 0.0], [reach, -1.5]], segments=96)
     motion = jaxform.make_motion([0, 0, 1], [0.0, 10.0], [0.0, depth])
-    return jaxform.make_mold(made.vertices, made.triangles, contact=law, motion=motion, name="plug")
+    return jaxform.make_mold(made.vertices, made.triangles, contact=law, motion=motion, name="plug", **warmth)
 
 
-def _pushed(law: jaxform.ContactLaw | None, depth: float, elements: int = 600, pressure: float = 0.0) -> jaxform.Scene:
+def _pushed(
+    plug: jaxform.Mold, elements: int = 600, pressure: float = 0.0, cooling: jaxform.Cooling | None = None
+) -> jaxform.Scene:
     sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
+    warm = None if cooling is None else 140.0
     thin, rest = 0.01, 10.0 + (6.0 if pressure else 0.0)
     return jaxform.build_scene(
-        parison=jaxform.make_parison(sheet.positions, sheet.triangles, thin, sheet.clamped, sheet.fixed),
+        parison=jaxform.make_parison(
+            sheet.positions, sheet.triangles, thin, sheet.clamped, sheet.fixed, temperature=warm
+        ),
         material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
         pressure=jaxform.make_pressure([0.0, 10.0, 16.0], [0.0, 0.0, pressure * thin]),
         solver=jaxform.make_solver(end_time=rest, damping=2.0),
-        tools=[_plug(law, depth)],
+        tools=[plug],
+        cooling=cooling,
         fill=False,
     )
 
 
 def test_disc_pushed_by_a_flat_plug_to_which_it_sticks() -> None:
-    scene = _pushed(None, 0.6, elements=610)
+    # Only the plug cools the sheet, by numbers of its own; that changes no thickness.
+    cooling = jaxform.Cooling(as_real(100.0), mold=as_real(7.0))
+    scene = _pushed(_plug(None, 0.6, temperature=40.0, heat_transfer=0.05), elements=610, cooling=cooling)
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 1e-4
     places = np.asarray(scene.parison.positions)[np.asarray(result.triangles)]
@@ -250,10 +258,14 @@ def test_disc_pushed_by_a_flat_plug_to_which_it_sticks() -> None:
     assert np.asarray(result.thickness)[rim].mean() / 0.01 == pytest.approx(0.82946625, rel=0.003)
     np.testing.assert_allclose(thin[np.linalg.norm(places, axis=2).max(1) < 0.3 + 1e-9], 1.0, rtol=1e-12)
     assert float(np.asarray(result.positions)[:, 2].max()) == pytest.approx(0.6, abs=1e-9)
+    distance = np.linalg.norm(np.asarray(scene.parison.positions), axis=1)
+    warm = np.asarray(result.temperature)
+    np.testing.assert_allclose(warm[distance < 0.28], 40.0 + 100.0 * np.exp(-0.05 / (100.0 * 0.01) * 10.0), rtol=1e-9)
+    np.testing.assert_allclose(warm[distance > 0.4], 140.0)
 
 
 def test_gradient_through_stick_slip_and_release_is_that_of_differences() -> None:
-    scene = _pushed(jaxform.make_contact_law("coulomb", 0.2), 0.6, elements=100, pressure=2.0)
+    scene = _pushed(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=100, pressure=2.0)
     way, time = (np.asarray(getattr(scene.tools[0].motion, name)) for name in ("displacement", "time"))
     whole = jaxform.run(scene)
     traced = jaxform.simulate(scene)
@@ -278,7 +290,7 @@ def test_gradient_through_stick_slip_and_release_is_that_of_differences() -> Non
 
 
 def test_names_of_tools_and_numbers_of_their_laws() -> None:
-    scene = _pushed(jaxform.make_contact_law("coulomb", 0.2), 0.6, elements=24)
+    scene = _pushed(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=24)
     law = jaxform.replace(scene, {"tools.plug.contact.friction": 0.4}).tools[0].contact
     assert isinstance(law, jaxform.Coulomb) and float(law.friction) == 0.4
     with pytest.raises(jaxform.InputError, match="finite numbers >= 0"):

@@ -84,17 +84,16 @@ class ToolTable(PlacedTable):
         direction: Direction of the motion, a vector of any length; without it, the tool rests.
         time: Knots of the motion [s].
         displacement: Displacement from the initial position at the knots [m]; the first is 0.
-        temperature: Temperature of the tool [degC], where the scene cools; so far only that of the mold.
-        heat_transfer: Heat transfer coefficient to the tool [W/(m^2 K)], where the scene cools; so far only that to
-            the mold.
+        temperature: Temperature of the tool [degC], where the scene cools; cooling.mold_temperature by default.
+        heat_transfer: Heat transfer coefficient to the tool [W/(m^2 K)], where it cools; cooling.mold by default.
     """
 
     name: str | None = None
     direction: Triple | None = None
     time: Annotated[list[Number], Field(min_length=2)] | None = None
     displacement: Annotated[list[Number], Field(min_length=2)] | None = None
-    temperature: Annotated[float, declared_range("cooling.mold_temperature")] | None = None
-    heat_transfer: Annotated[float, declared_range("cooling.mold")] | None = None
+    temperature: Annotated[float, declared_range("mold.temperature")] | None = None
+    heat_transfer: Annotated[float, declared_range("mold.heat_transfer")] | None = None
 
     @model_validator(mode="after")
     def _check_motion(self) -> ToolTable:

@@ -234,17 +234,10 @@ class SceneFile(Table):
         return self
 
 
-_OF_MOLD = {"temperature": "mold_temperature", "heat_transfer": "mold"}  # keys of a tool, and those of [cooling]
-
-
 def _check_thermal(table: Any, name: str, cooling: CoolingTable | None) -> None:
-    """Raises for a temperature or heat transfer that is not the mold's: so far, tools cool the sheet as it does."""
-    for key, general in _OF_MOLD.items():
+    """Raises for a temperature or heat transfer of a tool where the sheet does not cool."""
+    for key in ("temperature", "heat_transfer"):
         value = getattr(table, key)
         if value is not None and cooling is None:
             problem, remedy = "has no effect, for the sheet does not cool", "give [cooling], or leave it out"
-            raise validation_error(problem, remedy, f"tool.{name}.{key}", value)
-        if value is not None and value != getattr(cooling, general):
-            problem = f"is not that of the mold, cooling.{general} = {getattr(cooling, general):g}"
-            remedy = "tools of their own temperature are not supported yet: leave it out, or change that of all"
             raise validation_error(problem, remedy, f"tool.{name}.{key}", value)
