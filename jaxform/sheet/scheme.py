@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxform.contact.sliding import ContactLosses, LyingNodes, lying_nodes, slide_nodes
 from jaxform.kernels.blocks import materialize
 from jaxform.loads import Loading
 from jaxform.mechanics import membrane
@@ -163,6 +164,12 @@ def synchronize_velocity(
         )
         work, losses = work + jnp.sum(done), None if losses is None else jnp.where(held, 0.0, losses)
     account, lost = state.account, 0.0 if losses is None else jnp.sum(losses)
+    friction, impact = account.friction_loss, account.contact_loss
+    if friction is not None:
+        velocities, slid, lies = _synchronize_slip(packed, scene, active, nodal, velocities, state)
+        lost = 0.0 if losses is None else jnp.sum(jnp.where(lies, slid.damping, losses))
+        friction, impact = friction + jnp.sum(slid.friction), impact + jnp.sum(slid.impact)
+        work = None if work is None else work + jnp.sum(slid.work)
     return dataclasses.replace(
         state,
         nodes=dataclasses.replace(state.nodes, velocities=active.packed.unpack(jnp.stack(velocities))),
@@ -173,7 +180,28 @@ def synchronize_velocity(
             load_state=None if account.load_state is None else pressed,
             external_work=account.external_work + last_work(state, scene, volume),
             damping_loss=account.damping_loss + lost,
+            friction_loss=friction,
+            contact_loss=impact,
             tool_work=work,
             rim=None if account.rim is None else jnp.zeros_like(account.rim),
         ),
     )
+
+
+def _synchronize_slip(
+    packed: PackedState, scene: Scene, active: ActiveSet, nodal: Any, free: Any, state: State
+) -> tuple[membrane.Vector, ContactLosses, jax.Array]:
+    """The velocities, where those as if nothing were touched are free; the losses of nodes that lie on tools; which do.
+
+    They are held by the tools in this half step, too, but do not move.
+    """
+    own, half = packed.nodes, 0.5 * state.control.step_length
+    lies = lying_nodes(own.stuck, own.wall)
+    mobile = vector(jnp.where(c > 0.0, 1.0, 0.0) for c in active.compliance)
+    before = vector(own.positions), vector(own.velocities)
+    lying = LyingNodes(*before, vector(free), vector(nodal), active.mass, mobile, own.wall, own.tool, lies)
+    frames = scene.frames(state.time - state.control.step_length, state.time)
+    steps = half, jnp.zeros_like(half)
+    slid = slide_nodes(lying, steps, scene.surfaces, frames, scene.solver.damping, differentiable=True)
+    velocities = vector(jnp.where(lies, new, old) for new, old in zip(slid.velocities, free, strict=True))
+    return velocities, ContactLosses(*(jnp.where(lies, x, 0.0) for x in slid.losses)), lies
