@@ -159,8 +159,32 @@ class _NodePaths(NamedTuple):
         return materialize((x, y, z)), after
 
 
+class _LyingParts(NamedTuple):
+    """The triangle (n_node,) that nodes lie on, -1 for none, and the connected part (n_triangle,) of triangles."""
+
+    triangle: jax.Array
+    part: jax.Array
+
+    def is_same(self, node: jax.Array, triangle: jax.Array) -> jax.Array:
+        """Pairs (n,) of a node and a triangle of the part that it lies on: it walks there, and is not tested."""
+        on = gather(self.triangle, node)
+        return (on >= 0) & (gather(self.part, jnp.maximum(on, 0)) == gather(self.part, triangle))
+
+
+def _lying_parts(nodes: Nodes, number: int, surface: ContactSurface) -> _LyingParts | None:
+    if surface.part is None:
+        return None
+    lies = ~nodes.stuck & (nodes.wall != 0) & on_surface(nodes.tool, number)
+    return _LyingParts(jnp.where(lies, jnp.abs(nodes.wall) - 1, -1), surface.part)
+
+
 def _block(
-    number: jax.Array, paths: _NodePaths, touches: jax.Array, candidates: Candidates, touch: jax.Array
+    number: jax.Array,
+    paths: _NodePaths,
+    touches: jax.Array,
+    candidates: Candidates,
+    touch: jax.Array,
+    lying: _LyingParts | None,
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Node, triangle, beta and whether they meet, (block,) each, of one block of pairs."""
     # Once: else every loop over the block looks the number up for every entry.
@@ -172,7 +196,10 @@ def _block(
     planes = read_rows(candidates.lists.planes.reshape(-1), len(candidates.lists.planes), first, TEST_BLOCK)
     beta, meets = _paths_meet(*paths.path_ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < candidates.count
-    return node, triangle, beta, meets & used & ~gather(touches, node)
+    blocked = gather(touches, node)
+    if lying is not None:
+        blocked |= lying.is_same(node, triangle)
+    return node, triangle, beta, meets & used & ~blocked
 
 
 class FirstHits(NamedTuple):
@@ -202,6 +229,7 @@ def _first_hits(
     touch: jax.Array,
     found: FirstHits,
     first: int,
+    lying: _LyingParts | None,
 ) -> FirstHits:
     """The triangle that each node meets first in this step, counted from `first` on, where it met none before so far.
 
@@ -213,7 +241,7 @@ def _first_hits(
 
     def choose(carry: tuple[jax.Array, FirstHits]) -> tuple[jax.Array, FirstHits]:
         k, found = carry
-        node, triangle, beta, meets = _block(entry(due.block, k), paths, touches, candidates, touch)
+        node, triangle, beta, meets = _block(entry(due.block, k), paths, touches, candidates, touch, lying)
         return k + 1, _update_hits(found, materialize((node, first + triangle, beta, meets)))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), found))[1]
@@ -264,7 +292,16 @@ def _place_hit_nodes(
     for number, (surface, first) in enumerate(zip(surfaces, first_numbers(surfaces), strict=False)):
         paths = _NodePaths(nodes.positions, nodes.velocities, now.length, now.frames[number])
         touch = touch_distance(surface.grid)
-        met = _first_hits(paths, known[number], candidates[number], due[number], touch, met, first)
+        met = _first_hits(
+            paths,
+            known[number],
+            candidates[number],
+            due[number],
+            touch,
+            met,
+            first,
+            _lying_parts(nodes, number, surface),
+        )
 
     def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
         landing, beta, chosen = carry
@@ -300,7 +337,8 @@ def touches_already(nodes: Nodes, number: int, surface: ContactSurface, over: ja
     """Nodes (n,) that are not tested against a surface: they are stuck, or lie on it, or just went over its edge."""
     if surface.mold.contact.sticks:
         return nodes.stuck
-    touched = nodes.wall != 0
+    # Where a surface has several parts, nodes that lie on one are tested against the others, pair by pair.
+    touched = nodes.wall != 0 if surface.part is None else jnp.zeros_like(nodes.stuck)
     return nodes.stuck | (touched if over is None else touched | over) & on_surface(nodes.tool, number)
 
 

@@ -37,7 +37,7 @@ from jaxform.sheet.packing import make_assembly, make_paired_assembly
 from jaxform.tools.mold import Mold
 from jaxform.tools.motion import Motion
 from jaxform.tools.search import SearchGrid, build_grid
-from jaxform.tools.surface_walk import ContactSurface, signed_neighbors
+from jaxform.tools.surface_walk import ContactSurface, connected_parts, signed_neighbors
 
 # Rims that can move, along which the enclosed volume is not all that the sheet sweeps; on the host.
 
@@ -261,7 +261,14 @@ def _neighbors(surfaces: list[Mold]) -> tuple[jax.Array, ...]:
     """The triangles beside those of each surface, where nodes slide on any."""
     if all(surface.contact.sticks for surface in surfaces):
         return ()
-    return tuple(as_index(signed_neighbors(np.asarray(surface.triangles))) for surface in surfaces)
+    return tuple(as_index(_neighbor_table(np.asarray(surface.triangles))) for surface in surfaces)
+
+
+def _neighbor_table(triangles: np.ndarray) -> np.ndarray:
+    """Neighbors (n_triangle, 3), and as a fourth column the connected part, where there are several."""
+    beside = signed_neighbors(triangles)
+    part = connected_parts(beside)
+    return beside if part.max() == 0 else np.concatenate([beside, part[:, None]], axis=1)
 
 
 def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refinement | None) -> Assembly:

@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from jaxform.mechanics.membrane import Vector, cross, dot, minus, vector
 from jaxform.tools.mold import Mold
@@ -34,6 +36,13 @@ def signed_neighbors(triangles: NDArray[np.integer]) -> NDArray[np.int32]:
     return found.reshape(count, 3)
 
 
+def connected_parts(neighbors: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The number of the part (n_triangle,) that each triangle is connected to, from triangle to neighbor."""
+    triangle, side = np.nonzero(neighbors)
+    edges = np.ones(len(triangle)), (triangle, np.abs(neighbors[triangle, side]) - 1)
+    return connected_components(coo_array(edges, shape=(len(neighbors),) * 2), directed=False)[1].astype(np.int32)
+
+
 _MOST_SIDES = 8  # that a node crosses in a step, at most
 _OUT = 1e-12  # of a triangle's height: a node that is no further out is inside
 _STEEP = 1e-9  # sine: faces that are turned less are one plane
@@ -41,11 +50,22 @@ _LEAST = 1e-12  # of a normal's square that symmetry planes leave
 
 
 class ContactSurface(NamedTuple):
-    """A tool that the sheet can touch: its search structure, and the neighbors of its triangles where nodes slide."""
+    """A tool that the sheet can touch, and its search structure.
+
+    Where nodes slide, also the neighbors of its triangles (n_triangle, 3), and where these are not all connected, as a
+    fourth column, the part that each belongs to.
+    """
 
     mold: Mold
     grid: SearchGrid
     neighbors: jax.Array | None = None
+
+    @property
+    def part(self) -> jax.Array | None:
+        """The connected part (n_triangle,) of each triangle; None where there is one, or no node slides."""
+        if self.neighbors is None or self.mold.contact.sticks or self.neighbors.shape[1] < 4:
+            return None
+        return self.neighbors[:, 3]
 
 
 class Glide(NamedTuple):
@@ -156,7 +176,7 @@ def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vec
     place = vector(x + share * d for x, d in zip(glide.position, way, strict=True))
     left = jnp.where(leaves, (1.0 - share) * glide.left, 0.0)
 
-    number = neighbors.reshape(-1)[3 * glide.triangle + (corner + 1) % 3]
+    number = neighbors.reshape(-1)[neighbors.shape[1] * glide.triangle + (corner + 1) % 3]
     beyond, other_side = jnp.maximum(jnp.abs(number) - 1, 0), jnp.where(number < 0, -glide.side, glide.side)
     there = facets(mold, beyond, other_side)
     begin, end = (_select(here.corners, (corner + k) % 3) for k in (1, 2))

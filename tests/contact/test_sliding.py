@@ -10,9 +10,12 @@ import pytest
 
 import jaxform
 from jaxform import molds, shapes
+from jaxform.contact import broad_phase, candidates, sticking
 from jaxform.contact.sliding import LyingNodes, slide_nodes
 from jaxform.core.pytree import as_real
-from jaxform.mechanics.membrane import dot, minus, vector
+from jaxform.kernels.blocks import BLOCK
+from jaxform.mechanics.membrane import dot, minus, unstack_rows, vector
+from jaxform.mechanics.nodes import Nodes
 from jaxform.tools.search import build_grid
 from jaxform.tools.surface_walk import ContactSurface, Glide, facets, move_along, signed_neighbors
 
@@ -95,6 +98,38 @@ def test_in_a_corner_a_node_stops_and_over_an_edge_without_push_it_leaves() -> N
     assert float(end.lost[0]) == pytest.approx(0.5)
     np.testing.assert_allclose(np.stack(end.position)[:, 1], [0.0, 1.1, 0.0], atol=1e-14)
     np.testing.assert_array_equal(end.off, [False, True])
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_a_node_that_slides_does_not_pass_another_part_of_its_tool(apart: bool) -> None:
+    floor, triangles = _square()
+    wall = np.array([[1.0, -1.0, -0.5], [1.0, 1.0, -0.5], [1.0, 1.0, 0.5], [1.0, -1.0, 0.5]])
+    both = np.concatenate([triangles, triangles + 4]) if apart else triangles
+    tool = jaxform.make_mold(np.concatenate([floor, wall]), both, contact=jaxform.Slide())
+    surfaces = jaxform.build_scene(
+        parison=jaxform.make_parison(floor - 1.0, triangles, 0.1, np.arange(4) > 0),
+        material=jaxform.NeoHookean(as_real(1.0), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0], [1.0]),
+        solver=jaxform.make_solver(end_time=1.0),
+        tools=[tool],
+    ).surfaces
+    assert (surfaces[0].part is not None) == apart
+    count, step = BLOCK, jnp.asarray(1e-2)
+    begin = jnp.zeros((3, count)).at[0].set(0.995).at[1].set(0.1)
+    speed = jnp.zeros((3, count)).at[0].set(1.0)
+    lies = jnp.zeros(count, jnp.int32).at[0].set(1)
+    ends = unstack_rows(begin + step * speed)
+    nodes = Nodes(ends, speed, jnp.arange(count) > 0, jnp.zeros(count), lies, None, {})
+    listed = candidates.list_candidates(begin, speed, ~nodes.stuck, step, jnp.int32(16), surfaces[0].grid)
+    now = sticking.ContactStep(step, step, jnp.int32(0))
+    known = [sticking.touches_already(nodes, 0, surfaces[0])]
+    landed, _ = sticking.apply_contact(
+        sticking.Landing(nodes, jnp.full(count, 9, jnp.int32), as_real(0.0)), now, [broad_phase.all_blocks(listed)],
+        (jnp.ones(count), jnp.ones((3, count))), [listed], surfaces, known, sticking.no_hits(count, begin.dtype),
+    )  # fmt: skip
+    assert float(landed.nodes.positions[0][0]) == (1.0 if apart else pytest.approx(1.005))
+    assert int(abs(landed.nodes.wall[0])) in ((3, 4) if apart else (1,))
+    assert float(landed.nodes.velocities[0][0]) == (0.0 if apart else 1.0)
 
 
 def test_below_the_cone_nothing_moves_and_beyond_it_all_of_the_excess_does() -> None:
