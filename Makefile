@@ -70,9 +70,10 @@ design: environment
 
 # How hard it is to break: steps against the true limit, energy over a million steps, two thousand random scenes,
 # gradients, float32; writes docs/stability.md from docs/stability.json; the random scenes
-# take five minutes. Parts by name: `.venv/bin/python -m benchmarks.stability edge drift random gradients float32`.
+# take five minutes, those with several tools ten. Parts by name: `.venv/bin/python -m benchmarks.stability edge drift random gradients float32`.
 stability: environment
 	.venv/bin/python -m benchmarks.stability
+	.venv/bin/python -m benchmarks.stability.tools
 
 # Damaged scenes, studies, meshes, caches and journals in thousands: no traceback, no hang, no memory without bounds; about half
 # an hour. Parts by name: `.venv/bin/python -m benchmarks.hostile.fuzz meshes=100`; one case: `... meshes:17`.

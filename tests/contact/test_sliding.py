@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxform
+from benchmarks.stability import tools
 from jaxform import molds, shapes
 from jaxform.contact import broad_phase, candidates, sticking
 from jaxform.contact.sliding import LyingNodes, slide_nodes
@@ -344,3 +345,12 @@ def test_names_of_tools_and_numbers_of_their_laws() -> None:
         jaxform.make_contact_law("coulomb")
     with pytest.raises(jaxform.InputError, match="choose one of stick, coulomb, slide"):
         jaxform.make_contact_law("glue")
+
+
+@pytest.mark.parametrize("seed", [39, 64, 29])
+def test_no_node_passes_a_tool_that_moves(seed: int) -> None:
+    # In the first two a node that flew over an edge was once found beyond; the last one's energies did not add up.
+    scene = tools.scene(seed, "c")
+    result = jaxform.run(scene)
+    assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 2e-3
+    assert tools.deepest(scene, result) < 1e-12
