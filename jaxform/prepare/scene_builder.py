@@ -188,7 +188,9 @@ def build_scene(
     law = material.at(cold)
     steep = stiffens_steeply(law)
     expected = (
-        expected_stretch(parison, law, sample_pressures(pressure, solver, parison, material), mold) if steep else None
+        expected_stretch(parison, law, sample_pressures(pressure, solver, parison, material), mold, tools)
+        if steep
+        else None
     )
     planned = plan_windows(bound, law, solver, expected)
     if steep and refinement is not None:

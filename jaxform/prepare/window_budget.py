@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -26,29 +27,38 @@ LARGEST_STRETCH = 6.0  # that windows are planned for at most
 _MARGIN = 2.0  # of the pressure, for a sheet that swings beyond its equilibrium
 
 
-def expected_stretch(parison: Parison, material: Law, pushes: np.ndarray, mold: Mold | None) -> float:
+def expected_stretch(
+    parison: Parison, material: Law, pushes: np.ndarray, mold: Mold | None, tools: Sequence[Mold] = ()
+) -> float:
     """The stretch that a sheet reaches over most of its area, at most `LARGEST_STRETCH`.
 
-    The pressure stretches it no further than a sphere of its size that is in equilibrium, and a mold no further than
-    to its own surface.
+    The pressure stretches it no further than a sphere of its size that is in equilibrium, a mold no further than to its
+    own surface, and tools that move as far as they go.
 
     Args:
         parison: The sheet.
         material: Its law.
         pushes: Pressures of the process [Pa].
         mold: The mold; None for free inflation.
+        tools: Other tools.
     """
     extents = _extents(np.asarray(parison.positions, float), parison)
     far = LARGEST_STRETCH
     if mold is None or mold.motion is None:
         load = _MARGIN * float(np.max(np.abs(pushes), initial=0.0)) * 0.5 * extents[1]
         far = float(_bearable_stretch(material, as_real(load / float(np.min(np.asarray(parison.thickness))))))
-    if mold is None:
-        return far
-    both = _extents(np.concatenate([np.asarray(parison.positions, float), mold.where_it_turns()]), parison)
+    moving = [tool for tool in tools if tool.motion is not None]
+    far = max(far, _stretch_within(parison, extents, moving)) if moving else far
+    return far if mold is None else min(far, _stretch_within(parison, extents, [mold, *moving]))
+
+
+def _stretch_within(parison: Parison, extents: np.ndarray, tools: Sequence[Mold]) -> float:
+    """The stretch of a sheet of these extents (3,) [m] that reaches as far as the tools go."""
+    places = [np.asarray(parison.positions, float), *(tool.where_it_turns() for tool in tools)]
+    both = _extents(np.concatenate(places), parison)
     across = 1.0 + 2.0 * (both[2] - extents[2]) / extents[1]
     across = min(across, both[2] / extents[2]) if extents[2] > 0.0 else across
-    return min(far, max(*(both[:2] / extents[:2]), across))
+    return min(LARGEST_STRETCH, max(*(both[:2] / extents[:2]), across))
 
 
 def _extents(places: np.ndarray, parison: Parison) -> np.ndarray:
