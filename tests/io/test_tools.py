@@ -116,13 +116,19 @@ def test_errors_name_the_tool(tools: Any, words: str) -> None:
         files.build_unchecked(_document(tools))
 
 
-def test_tools_cool_as_the_mold_does_so_far() -> None:
+def test_a_tool_cools_by_its_own_numbers_or_by_those_of_the_mold() -> None:
     cooling = {"heat_capacity": 2000.0, "mold": 500.0, "mold_temperature": 40.0}
-    _document([_plug(temperature=40.0, heat_transfer=500.0)], cooling=cooling)
-    with pytest.raises(jaxform.InputError, match=r"tool.plug.temperature = 60.0: is not that of the mold, .* = 40; "):
-        _document([_plug(temperature=60.0)], cooling=cooling)
-    with pytest.raises(jaxform.InputError, match=r"tool.plug.heat_transfer = 5.0: is not that of .*cooling.mold = 500"):
-        _document([_plug(heat_transfer=5.0)], cooling=cooling)
+    others = [_plug(temperature=60.0, heat_transfer=5.0), _plug(name="second", translate=[0.06, 0.0, -0.001])]
+    tables = _tables(others, cooling=cooling)
+    tables["parison"]["temperature"] = 140.0
+    scene = files.build_unchecked(files.validate_scene(tables, "s.toml", Path(".")))
+    assert scene.tool_warmth is not None
+    own, general = [tuple(map(float, warmth)) for warmth in scene.tool_warmth]
+    assert own == (5.0, 60.0) and general == (500.0, 40.0)
+    with pytest.raises(jaxform.InputError, match=r"tool.plug.temperature = -300.0: is too small"):
+        _document([_plug(temperature=-300.0)], cooling=cooling)
+    with pytest.raises(jaxform.InputError, match=r"tool.plug.heat_transfer = -1.0: is too small"):
+        _document([_plug(heat_transfer=-1.0)], cooling=cooling)
 
 
 def test_a_tool_alone_may_form_the_sheet_but_not_one_that_rests() -> None:
