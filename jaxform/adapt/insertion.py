@@ -290,8 +290,9 @@ def _interpolate_nodes(
         positions=births.put(nodes.positions, reference[births.node].T + moves),
         velocities=births.put(nodes.velocities, speeds),
         stuck=births.put(nodes.stuck, start.stuck),
-        contact_time=births.put(nodes.contact_time, start.contact_time),
-        wall=births.put(nodes.wall, start.wall),
+        # What slides may have left since the tool that it touched at the start.
+        contact_time=births.put(nodes.contact_time, jnp.where(start.stuck, start.contact_time, -1.0)),
+        wall=births.put(nodes.wall, jnp.where(start.stuck, start.wall, 0)),
         tool=None if nodes.tool is None or start.tool is None else births.put(nodes.tool, start.tool),
         fields=fields,
     )

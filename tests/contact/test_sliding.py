@@ -261,7 +261,11 @@ def _plug(law: jaxform.ContactLaw | None, depth: float, radius: float = 0.3, **w
 
 
 def _pushed(
-    plug: jaxform.Mold, elements: int = 600, pressure: float = 0.0, cooling: jaxform.Cooling | None = None
+    plug: jaxform.Mold,
+    elements: int = 600,
+    pressure: float = 0.0,
+    cooling: jaxform.Cooling | None = None,
+    **others: Any,
 ) -> jaxform.Scene:
     sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
     warm = None if cooling is None else 140.0
@@ -276,6 +280,7 @@ def _pushed(
         tools=[plug],
         cooling=cooling,
         fill=False,
+        **others,
     )
 
 
@@ -354,3 +359,14 @@ def test_no_node_passes_a_tool_that_moves(seed: int) -> None:
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 2e-3
     assert tools.deepest(scene, result) < 1e-12
+
+
+def test_a_refined_sheet_slides_on_a_plug() -> None:
+    # New nodes between those that the plug touched at the start lie on it only where they are on it now.
+    refinement = jaxform.make_refinement(angle=6.0, max_level=2, interval=64, elements=800)
+    scene = _pushed(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=60, refinement=refinement)
+    result = jaxform.run(scene)
+    assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 2e-3
+    assert np.sum(result.used) > 100 and int(result.shortened) < 5
+    place = np.asarray(result.positions)[np.asarray(result.tool) == 0]
+    assert place[:, 2].max() == pytest.approx(0.6, abs=1e-9)
