@@ -58,11 +58,14 @@ FAULTS = [
     Fault("step", "jaxform/dynamics/step.py", "0.5 * (last.pressure + pressed.pressure)", "pressed.pressure"),
     Fault("step", "jaxform/dynamics/step.py", "jnp.where(moving.count == 0, 0.5, 1.0) * length", "1.0 * length"),
     Fault("step", "jaxform/dynamics/step.py", "taken.volume + now.active.idle_volume", "taken.volume"),
-    Fault("contact", "jaxform/dynamics/contact_step.py", "jnp.abs(known.wall) - 1, -1)", "jnp.abs(known.wall), -1)"),
-    Fault("contact", "jaxform/contact/sticking.py", "a - self.length * v for", "a - 0.9 * self.length * v for"),
     Fault(
-        "contact", "jaxform/contact/sticking.py", "meets & used & ~gather(stuck, node)", "meets & ~gather(stuck, node)"
+        "contact",
+        "jaxform/dynamics/contact_step.py",
+        "jnp.where(lands, known.chosen, -1)",
+        "jnp.where(lands, known.chosen - 1, -1)",
     ),
+    Fault("contact", "jaxform/contact/sticking.py", "a - self.length * v for", "a - 0.9 * self.length * v for"),
+    Fault("contact", "jaxform/contact/sticking.py", "meets & used & ~blocked", "meets & ~blocked"),
     Fault("refinement", "jaxform/adapt/insertion.py", "lost[0] / (lost[0] + lost[1])", "lost[1] / (lost[0] + lost[1])"),
     Fault("refinement", "jaxform/adapt/insertion.py", "share * share * (3.0 - 2.0 * share)", "share"),
     Fault(

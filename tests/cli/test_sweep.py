@@ -176,9 +176,10 @@ def test_an_interruption_says_how_to_go_on(folder: Path, swept: Path) -> None:
     known = os.environ | {"PYTHONPATH": str(ROOT)}
     line = [sys.executable, "-m", "jaxform.cli", *_arguments(folder, out, "--workers", "1")]
     with subprocess.Popen(line, env=known, stderr=subprocess.PIPE, text=True, start_new_session=True) as client:
-        while not (out / "results.csv").exists() or len(_rows(out)) < 4:
+        # At the first row: on a busy machine the others are soon there, too.
+        while not (out / "results.csv").exists() or len(_rows(out)) < 1:
             assert client.poll() is None
-            time.sleep(0.005)
+            time.sleep(0.001)
         os.killpg(client.pid, signal.SIGINT)
         _, words = client.communicate(timeout=60)
     assert client.returncode == 130

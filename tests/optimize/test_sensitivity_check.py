@@ -38,7 +38,7 @@ def _search(strength: float, centre: float, edge: float = 0.0) -> tuple[Search, 
         return 1.0 + jnp.sum(jnp.square(one - centre)) + strength * jnp.sum(jnp.square(other - 1.0)) - edge * other[0]
 
     answer = {"status": 0, "spent": 1.0}
-    search._forward = lambda free: answer | {"value": float(value(free))}  # pyright: ignore
+    search.forward = lambda free: answer | {"value": float(value(free))}  # pyright: ignore
     free = search.start
     point = Point(free, float(value(free)), np.asarray(jax.grad(value)(jnp.asarray(free))), float(value(free)))
     return search, point
