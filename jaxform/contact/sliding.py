@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.mechanics.membrane import Vector, dot, minus, plus, vector
+from jaxform.mechanics.nodes import Nodes
 from jaxform.tools.motion import ToolFrame
 from jaxform.tools.search import touch_distance
 from jaxform.tools.surface_walk import ContactSurface, Glide, facets, move_along, project_on_plane
@@ -37,6 +38,20 @@ class LyingNodes(NamedTuple):
     wall: jax.Array
     tool: jax.Array | None
     lies: jax.Array
+
+    @classmethod
+    def of(cls, nodes: Nodes, free: Any, nodal: Any, masses: tuple[jax.Array, Any], lies: jax.Array) -> LyingNodes:
+        """From nodes before the step, free velocities and forces, three times (n,), and mass and compliance."""
+        before = vector(nodes.positions), vector(nodes.velocities)
+        mass, compliance = masses
+        return cls(
+            *before, vector(free), vector(nodal), mass, mobile_components(compliance), nodes.wall, nodes.tool, lies
+        )
+
+
+def mobile_components(compliance: Any) -> Vector:
+    """1 where a component of nodes' velocities may change, else 0, three times (n,), from their compliance [1/kg]."""
+    return vector(jnp.where(c > 0.0, 1.0, 0.0) for c in compliance)
 
 
 class ContactLosses(NamedTuple):

@@ -17,9 +17,9 @@ import numpy as np
 
 from jaxform.contact.broad_phase import DueBlocks
 from jaxform.contact.lists import TEST_BLOCK, Candidates
-from jaxform.contact.sliding import land_and_slide, on_surface
+from jaxform.contact.sliding import land_and_slide, mobile_components, on_surface
 from jaxform.kernels.blocks import entry, lax_cond_once, materialize, put, read_rows, slice_at
-from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, unstack_rows, vector
+from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, unstack_rows
 from jaxform.mechanics.nodes import Nodes
 from jaxform.tools.mold import Mold
 from jaxform.tools.motion import ToolFrame
@@ -59,7 +59,7 @@ class Landing(NamedTuple):
     Also the number of the step in which each came into contact (n_node,), and the kinetic energy lost so far [J]. Where
     it is kept, the impact (6, n_node): the position [m] of each such node before that step, and its velocity [m/s].
     Where a tool moves, the work that it did on nodes as they came into contact [J]. Where it is recorded, what nodes
-    land on in each step (n_step, n_node): `_encode` of it, -1 for none.
+    land on in each step (n_step, n_node): as `encode_landing` has it, -1 for none.
     """
 
     nodes: Nodes
@@ -389,7 +389,7 @@ def _place_on_surface(
     new: Any = 0.0
     if not mold.contact.sticks and compliance is not None:
         left = jnp.where(lands, (1.0 - beta) * now.length, 0.0)
-        mobile = vector(jnp.where(c > 0.0, 1.0, 0.0) for c in compliance)
+        mobile = mobile_components(compliance)
         flying = unstack_rows(point), unstack_rows(velocities)
         slid = land_and_slide(surface, *flying, wall, left, mobile, differentiable=differentiable)
         point, new, wall, loss = jnp.stack(slid.positions), jnp.stack(slid.velocities), slid.wall, mass * slid.lost

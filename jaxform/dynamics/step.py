@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.lists import Candidates
-from jaxform.contact.sliding import ContactLosses, LyingNodes, lying_nodes, slide_nodes
+from jaxform.contact.sliding import LyingNodes, lying_nodes, slide_nodes
 from jaxform.dynamics.contact_step import check_free_flight, replay_contact, search_contact, update_broad_phase
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
 from jaxform.kernels.blocks import materialize, over_blocks, total
@@ -28,8 +28,7 @@ from jaxform.mechanics.corners import (
 )
 from jaxform.mechanics.elements import Corners, gather_shares, gather_table
 from jaxform.mechanics.force import force
-from jaxform.mechanics.membrane import Vector, vector
-from jaxform.mechanics.nodes import Nodes
+from jaxform.mechanics.membrane import vector
 from jaxform.model.field import Surroundings, advance_fields
 from jaxform.model.scene import Scene
 from jaxform.sheet.energy_balance import pressure_at, rim_ends, rim_swept_volume
@@ -56,7 +55,7 @@ def step(
     """
     pressure, mean_pressure, kick = pressures
     length = now.length
-    if isinstance(contact, tuple) and not isinstance(contact, KnownContact):
+    if contact is not None and not isinstance(contact, KnownContact):
         moving = update_broad_phase(moving, scene, now, contact)
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
@@ -93,7 +92,7 @@ def step(
             external_work=account.external_work + mean_pressure * swept,
             damping_loss=account.damping_loss + taken.loss,
             tool_work=None if account.tool_work is None else account.tool_work + taken.work,
-            contact_loss=account.contact_loss + taken.impact,
+            contact_loss=account.contact_loss if taken.slid is None else account.contact_loss + taken.impact,
             friction_loss=None if account.friction_loss is None else account.friction_loss + taken.friction,
             viscous_loss=_add_viscous_loss(moving, length, taken.remembered),
         ),
@@ -238,29 +237,19 @@ def _advance_nodes(
     if not scene.slides:
         return taken
     lies = lying_nodes(own.stuck, own.wall) & ~moving.halted
-    before = vector(own.positions), vector(own.velocities)
-    lying = _lying(before, vector(velocities), vector(nodal), own, lies, now)
+    lying = LyingNodes.of(own, velocities, nodal, nodes[1:], lies)
     slid = slide_nodes(lying, (kick, length), scene.surfaces, frames, scene.solver.damping, differentiable=True)
-    positions = jnp.where(lies, jnp.stack(slid.positions), positions)
-    velocities = jnp.where(lies, jnp.stack(slid.velocities), jnp.stack(velocities))
-    lost = ContactLosses(*(jnp.where(lies, x, 0.0) for x in slid.losses))
+    lost = slid.losses
     damped = 0.0 if losses is None else total(jnp.where(lies, lost.damping, losses))
     return taken._replace(
-        positions=positions,
-        velocities=velocities,
+        positions=jnp.stack(slid.positions),
+        velocities=jnp.stack(slid.velocities),
         loss=damped,
         work=work + total(lost.work),
         friction=total(lost.friction),
         impact=total(lost.impact),
-        slid=(jnp.where(lies, slid.wall, own.wall), lies & slid.left, lies & slid.over),
+        slid=(slid.wall, slid.left, slid.over),
     )
-
-
-def _lying(
-    before: tuple[Vector, Vector], free: Vector, nodal: Vector, own: Nodes, lies: jax.Array, now: WindowData
-) -> LyingNodes:
-    mobile = vector(jnp.where(c > 0.0, 1.0, 0.0) for c in now.active.compliance)
-    return LyingNodes(*before, free, nodal, now.active.mass, mobile, own.wall, own.tool, lies)
 
 
 def _advance_nodes_in_blocks(
@@ -343,10 +332,8 @@ def _slide_in_blocks(
         stuck, mass, compliance, tool = nodes
         nodal = add_gravity(gather_shares(corners, table), mass, scene.solver.gravity)
         free, _ = update_velocity(nodal, before, (stuck, mass, compliance), kick, damping)
-        mobile = vector(jnp.where(c > 0.0, 1.0, 0.0) for c in compliance)
-        lying = LyingNodes(
-            (x, y, z), vector(before), vector(free), vector(nodal), mass, mobile, wall.astype(jnp.int32), tool, lies
-        )
+        there = dataclasses.replace(own, positions=(x, y, z), velocities=before, wall=wall.astype(jnp.int32), tool=tool)
+        lying = LyingNodes.of(there, free, nodal, (mass, compliance), lies)
         slid = slide_nodes(lying, (kick, length), scene.surfaces, frames, damping, differentiable=False)
         places = [[jnp.where(lies, new, x)] for new, x in zip(slid.positions, (x, y, z), strict=True)]
         speeds = [jnp.where(lies, new, v) for new, v in zip(slid.velocities, before, strict=True)]

@@ -315,9 +315,9 @@ def make_result(
 
 def _wall_of_mold(nodes: Nodes, scene: Scene) -> jax.Array:
     """What the nodes touch of the mold (n_node,), as in `Nodes.wall`; 0 where they touch another tool."""
-    if nodes.tool is None:
-        return nodes.wall if scene.mold is not None or not scene.tools else jnp.zeros_like(nodes.wall)
-    return jnp.where(nodes.tool == 0, nodes.wall, 0) if scene.mold is not None else jnp.zeros_like(nodes.wall)
+    if scene.mold is None:
+        return jnp.zeros_like(nodes.wall)
+    return nodes.wall if nodes.tool is None else jnp.where(nodes.tool == 0, nodes.wall, 0)
 
 
 def _touched_tool(nodes: Nodes) -> jax.Array:

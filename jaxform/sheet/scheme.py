@@ -197,11 +197,8 @@ def _synchronize_slip(
     """
     own, half = packed.nodes, 0.5 * state.control.step_length
     lies = lying_nodes(own.stuck, own.wall)
-    mobile = vector(jnp.where(c > 0.0, 1.0, 0.0) for c in active.compliance)
-    before = vector(own.positions), vector(own.velocities)
-    lying = LyingNodes(*before, vector(free), vector(nodal), active.mass, mobile, own.wall, own.tool, lies)
+    lying = LyingNodes.of(own, free, nodal, (active.mass, active.compliance), lies)
     frames = scene.frames(state.time - state.control.step_length, state.time)
     steps = half, jnp.zeros_like(half)
     slid = slide_nodes(lying, steps, scene.surfaces, frames, scene.solver.damping, differentiable=True)
-    velocities = vector(jnp.where(lies, new, old) for new, old in zip(slid.velocities, free, strict=True))
-    return velocities, ContactLosses(*(jnp.where(lies, x, 0.0) for x in slid.losses)), lies
+    return slid.velocities, slid.losses, lies
