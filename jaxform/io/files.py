@@ -291,9 +291,10 @@ def default_capacity(roots: int) -> int:
 def _quantity(document: SceneDocument, table: Any, key: str, sheet: shapes.Sheet) -> NDArray[np.float64] | float:
     """A quantity that may vary over the sheet: a number, or values at its nodes (n_node,)."""
     if isinstance(table, schema.ProfileTable):
-        return build_profile(table, key).over(sheet.positions)
+        return build_profile(table, key).over(sheet.positions, sheet.fields.get("arc"))
     if isinstance(table, schema.NumberProfile):
-        return Profile(table.along, tuple(table.at), tuple(table.value), key).over(sheet.positions)
+        profile = Profile(table.along, tuple(table.at), tuple(table.value), key)
+        return profile.over(sheet.positions, sheet.fields.get("arc"))
     if isinstance(table, schema.FieldReference):
         with error_context("", f"{key}.file"):
             path = disk.expand_path(table.file, document.folder)

@@ -78,6 +78,7 @@ _BUILT_IN: dict[type, Callable[..., shapes.Sheet]] = {
     schema.RectangleTable: shapes.rectangle,
     schema.Sphere: shapes.sphere,
     schema.Tube: shapes.tube,
+    schema.Preform: shapes.preform,
     schema.BottleHalfParison: shapes.bottle_half,
 }
 """Sheets whose keys are the arguments of a function."""
@@ -91,8 +92,12 @@ def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -
             mesh = meshes.read_mesh(path, scale=table.scale)
             previous_results.check_planes(path, table.scale, table.planes)
             return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
-    if isinstance(table, schema.RectangleTable | schema.Sphere | schema.Tube | schema.BottleHalfParison):
-        return _BUILT_IN[type(table)](**table.model_dump(exclude={"shape", "thickness", "temperature", "pre_stretch"}))
+    if not isinstance(table, schema.Disc | schema.Outline):
+        given = table.model_dump(exclude={"shape", "thickness", "temperature", "pre_stretch", "radius"})
+        if (radius := getattr(table, "radius", None)) is not None:
+            local = isinstance(radius, schema.ProfileTable)
+            given["radius"] = build_profile(radius, "parison.radius") if local else radius
+        return _BUILT_IN[type(table)](**given)
     if isinstance(table, schema.Outline):
         size = {"element_size": table.element_size, "elements": table.elements}
         if table.polygon is not None:

@@ -68,9 +68,15 @@ def _drop_collinear(corners: Array) -> Array:
     return corners[~flat]
 
 
-def crossing_point(corners: Array) -> Array | None:
-    """A place (2,) [m] where two sides that are not neighbours meet, or neighbours lie on each other; None if none."""
-    begin, end, count = corners, np.roll(corners, -1, axis=0), len(corners)
+def crossing_point(corners: Array, *, closed: bool = True) -> Array | None:
+    """A place (2,) [m] where two sides that are not neighbours meet, or neighbours lie on each other; None if none.
+
+    Args:
+        corners: Corners (n, 2) [m].
+        closed: Whether a side joins the last corner to the first.
+    """
+    count = len(corners) if closed else len(corners) - 1
+    begin, end = corners[:count], np.roll(corners, -1, axis=0)[:count]
     low, high = np.minimum(begin, end), np.maximum(begin, end)
     order = np.argsort(low[:, 0], kind="stable")
     last = np.searchsorted(low[order, 0], high[order, 0], side="right")
@@ -82,8 +88,8 @@ def crossing_point(corners: Array) -> Array | None:
         near = (low[one, 1] <= high[other, 1]) & (low[other, 1] <= high[one, 1])
         one, other = one[near], other[near]
         met = _sides_meet(begin[one], end[one], begin[other], end[other])
-        step = (other - one) % count
-        joined = (step == 1) | (step == count - 1)
+        step = np.abs(other - one)
+        joined = (step == 1) | (closed & (step == count - 1))
         met[joined] = _sides_overlap(begin, end, one[joined], other[joined])
         if met.any():
             return _meeting_point(*(side[index[met][0]] for index in (one, other) for side in (begin, end)))

@@ -1,4 +1,4 @@
-"""Sheets on the host: disc, rectangle, sphere, tube, half a bottle's parison, and a user's surface."""
+"""Sheets on the host: disc, rectangle, sphere, tube, preform, half a bottle's parison, and a user's surface."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import InputError, format_coordinate
-from jaxform.mesh import grids, meshes, outlines, planform, topology, volumes
+from jaxform.mesh import grids, meridian, meshes, outlines, planform, topology, volumes
 from jaxform.mesh.bisection import Snap
 from jaxform.mesh.grids import as_length, check_count, check_resolution, triangle_side
 from jaxform.mesh.meshes import Mesh
@@ -303,7 +303,7 @@ Ends = Literal["clamped", "guided", "free"]
 
 def tube(
     *,
-    radius: float,
+    radius: float | Profile,
     length: float,
     ends: Ends = "clamped",
     element_size: float | None = None,
@@ -315,7 +315,7 @@ def tube(
     Near-square cells, their diagonals alternating; the nodes are on the circle.
 
     Args:
-        radius: Radius [m].
+        radius: Radius [m], a number or a profile along z, as flare and die swell make it.
         length: Length [m].
         ends: `clamped`: the two end rings never move; `guided`: they stay in their planes and are free in these, as
             those of a part of a long tube; `free`: nothing holds them.
@@ -330,10 +330,17 @@ def tube(
         InputError: A number is out of range, or not just one of `element_size` and `elements` is given.
     """
     parts = _parts(symmetry)
-    radius, length = as_length("parison.radius", radius), as_length("parison.length", length)
+    length = as_length("parison.length", length)
+    if isinstance(radius, Profile):
+        if radius.along != "z":
+            raise InputError("a tube's radius varies along z", "use z", f"{radius.key}.along", radius.along)
+        profile = radius.positive()
+    else:
+        profile = Profile("z", (0.0,), (as_length("parison.radius", radius),), "parison.radius")
     if ends not in ("clamped", "guided", "free"):
         raise InputError("is no kind of ends", "use clamped, guided or free", "parison.ends", ends)
-    arc = 2.0 * math.pi * radius / parts
+    heights = np.linspace(0.0, length, 1001)
+    arc = 2.0 * math.pi / parts * float(np.interp(heights, profile.at, profile.value).mean())
     check_resolution(element_size, elements, largest=min(arc, length))
     around, along = grids.cell_counts([arc, length], element_size, elements)
     # Diagonals alternate: a closed ring has an even number of cells, and between clamped ends none is cut off.
@@ -342,7 +349,7 @@ def tube(
     check_count(2 * around * along, element_size)
 
     turn = 2.0 * math.pi / parts * (np.arange(around + 1) / around) - (0.5 * math.pi if symmetry == "half" else 0.0)
-    x, y = radius * np.cos(turn), radius * np.sin(turn)
+    x, y = np.cos(turn), np.sin(turn)
     if symmetry != "none":
         x[-1] = 0.0
         (x if symmetry == "half" else y)[0] = 0.0
@@ -350,16 +357,59 @@ def tube(
     if symmetry == "none":
         x, y, triangles = x[:-1], y[:-1], triangles % (around * (along + 1))
     positions = np.stack([np.repeat(x, along + 1), np.repeat(y, along + 1), np.tile(heights, len(x))], axis=1)
+    positions[:, :2] *= profile.over(positions)[:, None]
     at_end = (positions[:, 2] == 0.0) | (positions[:, 2] == length)
     sheet = _sheet(positions, triangles, at_end & (ends == "clamped"), symmetry)
     sheet.fixed[:, 2] |= at_end & (ends == "guided")
-    return replace(sheet, snap=lambda middles, _, __: _scale_to_cylinder(middles, radius))
+    return replace(sheet, snap=lambda middles, _, __: _scale_to_cylinder(middles, profile(middles)))
 
 
-def _scale_to_cylinder(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Points (n, 3) [m] moved to a distance from the z axis."""
+def _scale_to_cylinder(points: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3) [m] moved to distances (n,) [m] from the z axis."""
     factor = radius / np.linalg.norm(points[:, :2], axis=1)
     return points * np.stack([factor, factor, np.ones(len(points))], axis=1)
+
+
+def preform(
+    *,
+    profile: ArrayLike,
+    element_size: float | None = None,
+    elements: int | None = None,
+    symmetry: Symmetry = "none",
+) -> Sheet:
+    """A preform: a profile turned about the z axis, closed at the pole and clamped at its open neck; outward normals.
+
+    Rings lie about an element size apart along the profile, one on each of its corners, with segments of that length,
+    as those of a disc: triangles at the pole are as large as others. In a half or quarter, diagonals alternate between
+    rings with as many segments.
+
+    Args:
+        profile: Points r, z [m] of the middle of the wall, from the pole (r = 0) to the neck or from the neck to the
+            pole, shape (k, 2).
+        element_size: Length of the edges [m]; or
+        elements: About how many triangles, in the modelled part.
+        symmetry: 'half' keeps x >= 0, 'quarter' x >= 0 and y >= 0.
+
+    Returns:
+        The sheet; nodes run ring by ring from the pole. Its field `arc` (n,) is the distance from the pole along the
+        profile [m]. New nodes of a refined mesh go to the surface of revolution.
+
+    Raises:
+        InputError: The profile does not reach the axis with one end, has a negative radius, crosses itself or encloses
+            no volume; a number is out of range, or not just one of `element_size` and `elements` is given.
+    """
+    parts = _parts(symmetry)
+    turned = meridian.make_meridian(profile)
+    check_resolution(element_size, elements, largest=turned.length)
+    # A triangle has half a segment times the distance of rings: pi / DENSITY sizes squared.
+    share = turned.area / parts * meridian.DENSITY / math.pi
+    size = element_size if element_size else math.sqrt(share / (elements or 1))
+    check_count(share / size**2, element_size)
+    positions, triangles, ring_of = meridian.turn_rings(turned, size, symmetry, parts)
+    if turned.volume > 0.0:
+        triangles = triangles[:, [0, 2, 1]]
+    sheet = _sheet(positions, triangles, ring_of == ring_of[-1], symmetry)
+    return replace(sheet, fields={"arc": turned.nearest(positions)}, snap=turned.snap)
 
 
 def bottle_half(

@@ -103,16 +103,40 @@ class Tube(_BuiltIn):
 
     Attributes:
         shape: The kind of sheet.
-        radius: Radius of the tube [m].
+        radius: Radius of the tube [m], or a profile of it along z, as flare and die swell make it.
         length: Its length [m].
         ends: Whether the end rings are `clamped`, `guided` (they stay in their planes) or `free`.
         element_size: Side of a triangle [m].
     """
 
     shape: Literal["tube"]
-    radius: Length
+    radius: ElementSize
     length: Length
     ends: Literal["clamped", "guided", "free"] = "clamped"
+    element_size: Length | None = None
+
+    @field_validator("radius")
+    @classmethod
+    def _along_z(cls, radius: Any) -> Any:
+        if isinstance(radius, ProfileTable) and radius.along != "z":
+            raise validation_error("is not possible for a tube", "use z", "along", radius.along)
+        return radius
+
+
+class Preform(_BuiltIn):
+    """A preform for stretch-blow moulding: a profile turned about the z axis; pressure acts from inside.
+
+    It is closed at the end of the profile on the axis, and clamped at the other end, its neck.
+
+    Attributes:
+        shape: The kind of sheet.
+        profile: Points [r, z] [m] of the middle of the wall, from the closed end to the neck or from the neck to the
+            closed end.
+        element_size: Side of a triangle [m].
+    """
+
+    shape: Literal["preform"]
+    profile: Annotated[list[Point], Field(min_length=2)]
     element_size: Length | None = None
 
 
@@ -227,8 +251,9 @@ Parison = Annotated[
     | Annotated[RectangleTable, Tag("<rectangle>")]
     | Annotated[Sphere, Tag("<sphere>")]
     | Annotated[Tube, Tag("<tube>")]
+    | Annotated[Preform, Tag("<preform>")]
     | Annotated[BottleHalfParison, Tag("<bottle-half>")]
     | Annotated[Outline, Tag("<outline>")]
     | Annotated[FileParison, Tag("<file>")],
-    *choice("shape", ["disc", "rectangle", "sphere", "tube", "bottle-half", "outline", "file"]),
+    *choice("shape", ["disc", "rectangle", "sphere", "tube", "preform", "bottle-half", "outline", "file"]),
 ]

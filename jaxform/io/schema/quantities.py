@@ -22,7 +22,7 @@ Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
 """A count of things for which no memory is allocated in advance."""
-Place = Literal["radius", "x", "y", "z"]
+Place = Literal["radius", "x", "y", "z", "angle", "arc"]
 
 _FORMS = 'give a number, {along, at, value}, {file, field} or "field:NAME"'
 
@@ -31,8 +31,9 @@ class ProfileTable(Table):
     """A positive quantity, piecewise linear along a place in the initial sheet.
 
     Attributes:
-        along: Place in the initial sheet: distance from the z axis, or a coordinate.
-        at: Knots [m], increasing; the value is held beyond the first and the last.
+        along: Place in the initial sheet: distance from the z axis, a coordinate, `angle` about the z axis (from 0 to
+            360 degrees, from x towards y), or `arc` along the meridian of a preform, from its pole.
+        at: Knots [m, an angle in degrees], increasing; the value is held beyond the first and the last.
         value: Values, one per knot, in the unit of the quantity.
     """
 
@@ -50,8 +51,9 @@ class NumberProfile(Table):
     """A quantity, piecewise linear along a place in the initial sheet.
 
     Attributes:
-        along: Place in the initial sheet: distance from the z axis, or a coordinate.
-        at: Knots [m], increasing; the value is held beyond the first and the last.
+        along: Place in the initial sheet: distance from the z axis, a coordinate, `angle` about the z axis (from 0 to
+            360 degrees, from x towards y), or `arc` along the meridian of a preform, from its pole.
+        at: Knots [m, an angle in degrees], increasing; the value is held beyond the first and the last.
         value: Values, one per knot, in the unit and the range of the quantity.
     """
 
