@@ -6,7 +6,7 @@ from .core.compilation import compiler_options, keep_programs
 from .core.errors import InputError, InputWarning
 from .core.parameters import parameter
 from .io.files import load
-from .loads import Gas, Interval, Loading, Pressure, loading, make_gas, make_pressure
+from .loads import Gas, GasSupply, Interval, Loading, Pressure, loading, make_gas, make_gas_supply, make_pressure
 from .materials import (
     Arrhenius,
     ArrheniusStiffness,
@@ -61,6 +61,7 @@ __all__ = [
     "Coulomb",
     "Field",
     "Gas",
+    "GasSupply",
     "Gent",
     "GradientCheck",
     "InputError",
@@ -108,6 +109,7 @@ __all__ = [
     "loading",
     "make_contact_law",
     "make_gas",
+    "make_gas_supply",
     "make_mold",
     "make_motion",
     "make_parison",

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform import InputError, Scene
+from jaxform import InputError, Pressure, Scene
 from optimize.variables import (
     Bounds,
     apply_bounds,
@@ -35,7 +35,8 @@ class PressureKnots:
             times.
 
     Raises:
-        InputError: If the bounds do not increase, or the history would outlast the simulation.
+        InputError: If the scene has another loading, the bounds do not increase, or the history would outlast the
+            simulation.
     """
 
     def __init__(
@@ -50,6 +51,9 @@ class PressureKnots:
     ) -> None:
         """See the class."""
         check_bounds(bounds, positive=False)
+        if not isinstance(scene.pressure, Pressure):
+            remedy = 'use kind = "scale" with of = "gas.mass_flow", "gas.time", "gas.supply_pressure", ...'
+            raise InputError("is not possible: the scene has no pressure history", remedy, "variable.kind", "pressure")
         self.bounds, self.increasing, self.rate, self.end_time = bounds, increasing, rate, end_time
         self._time = np.asarray(scene.pressure.time, float)
         self._steepest = _STEEPEST[scene.pressure.interpolation]

@@ -158,7 +158,9 @@ def _interval(last: Any, step: Any, bounds: Bounds, rising: bool) -> tuple[jax.A
 
 
 def _no_number(scene: Scene, key: str) -> str:
-    """Description of a key of a tool that is no number of the scene."""
+    """Description of a key of a tool or of the gas that is no number of the scene."""
+    if key.startswith("gas."):
+        return "is no number of the scene" + ("" if hasattr(scene.pressure, "dead_volume") else ", which has no gas")
     known = [
         file_key(f"{part}.{path}")
         for part in [*(["mold"] if scene.mold is not None else []), *(f"tools.{tool.name}" for tool in scene.tools)]
@@ -195,9 +197,11 @@ class Scale:
         part, _, name = of.rpartition(".")
         present = number_at(scene, of)
         if present is None and given != of:
-            raise InputError(_no_number(scene, given), "see the scene file's [[tool]] and [mold]", "variable.of", given)
+            raise InputError(
+                _no_number(scene, given), "see the scene file's [[tool]], [mold] and [gas]", "variable.of", given
+            )
         jaxform.replace(scene, {of: 1.0 if present is None else present})  # says what the scene has instead
-        self.of, self.bounds = of, bounds
+        self.of, self.bounds, self._key = of, bounds, given if given != of else file_key(of)
         self._present = jnp.asarray(present)
         self._first_nodes = scene.first_nodes
         self._varies = part == "material" and name in scene.material.zones
@@ -219,4 +223,4 @@ class Scale:
             return {self.of: float(values[0]) if np.ptp(values) == 0.0 else values}
         if self._varies:
             return {self.of: values[..., : self._first_nodes]}
-        return {file_key(self.of): values.tolist()}
+        return {self._key: values.tolist()}

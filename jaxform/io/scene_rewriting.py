@@ -180,11 +180,16 @@ _MOTION = ("direction", "time", "displacement")
 
 
 def replacement_path(key: str) -> str:
-    """The path for `jaxform.replace` of a key of a scene file: tool.plug.friction is tools.plug.contact.friction."""
+    """The path for `jaxform.replace` of a key of a scene file.
+
+    tool.plug.friction is tools.plug.contact.friction, gas.mass_flow is pressure.mass_flow.
+    """
     steps = key.split(".")
     if steps[0] == "tool" and len(steps) == 3:
         part = {"friction": "contact"} | dict.fromkeys(_MOTION, "motion")
         return ".".join(["tools", steps[1], *([part[steps[2]]] if steps[2] in part else []), steps[2]])
+    if steps[0] == "gas":
+        return ".".join(["pressure", *steps[1:]])
     return "mold.contact.friction" if key == "mold.friction" else key
 
 
@@ -193,6 +198,9 @@ def file_key(path: str) -> str:
     found = re.fullmatch(r"tools\.([^.]+)\.(?:motion|contact)\.(\w+)", path)
     if found is not None:
         return f"tool.{found[1]}.{found[2]}"
+    section, _, name = path.partition(".")
+    if section == "pressure" and name not in ("time", "value"):
+        return f"gas.{name}"
     return "mold.friction" if path == "mold.contact.friction" else path
 
 

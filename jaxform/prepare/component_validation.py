@@ -14,7 +14,7 @@ from jaxform.core.errors import InputError, warn_of
 from jaxform.core.parameters import is_registered, list_parameter_names, nodal_parameter_names, parameter_ranges
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import as_numbers, check, check_one
-from jaxform.loads import Gas, Interval, Loading, first_pressure, next_pressure
+from jaxform.loads import Gas, GasSupply, Interval, Loading, first_pressure, next_pressure
 from jaxform.materials import Cooling, Law, Modes, Shift
 from jaxform.mesh import bisection
 from jaxform.model.field import Field
@@ -292,7 +292,7 @@ def _shapes(key: str, function: Any, *arguments: Any) -> Any:
 
 def check_gas(pressure: Loading, volume: float) -> None:
     """Raises InputError where a gas has no volume [m^3] at first."""
-    if isinstance(pressure, Gas) and volume + float(pressure.dead_volume) <= 0.0:
+    if isinstance(pressure, Gas | GasSupply) and volume + float(pressure.dead_volume) <= 0.0:
         remedy = "give gas.dead_volume, or a sheet that encloses a volume along its normals"
         raise InputError(f"the gas has a volume of {volume:.3g} m^3 at first", remedy, "gas.dead_volume")
 

@@ -86,6 +86,30 @@ def test_gradient_with_respect_to_the_mass_flow() -> None:
     np.testing.assert_allclose(float(both(flow)[1][0]), difference, rtol=1e-6)
 
 
+def test_disc_follows_the_membrane_solution_through_both_turning_points() -> None:
+    """A neo-Hookean disc, p_atm a / (c h0) = 50, over a dead volume of a^3: pole stretch, pressure and height."""
+    sheet = shapes.disc(radius=1.0, elements=600, symmetry="quarter")
+    mass = 0.5 * 0.25  # of a quarter of the gas at first, with R T = 1
+    gas = jaxform.make_gas(
+        [0.0], [3.0 * mass / 300.0], temperature=1.0, gas_constant=1.0, ambient_pressure=0.5, dead_volume=0.25
+    )
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.0),
+        pressure=gas,
+        solver=jaxform.make_solver(end_time=300.0, damping=1.0),
+    )
+    result = jaxform.run(scene)
+    assert result.pressures is not None
+    assert int(result.status) == 0 and float(result.energy.balance_error) < 1e-3
+    time, pressure = result.pressures
+    found = np.interp([100.0, 200.0, 300.0], time, pressure) / 0.01
+    np.testing.assert_allclose(found, [1.91786271, 3.48400055, 3.7574681], rtol=5e-3)
+    pole = int(np.argmin(np.linalg.norm(sheet.positions, axis=1)))
+    np.testing.assert_allclose(float(result.positions[pole, 2]), 1.15359532, rtol=5e-3)
+    np.testing.assert_allclose(np.sqrt(0.01 / float(result.thickness[pole])), 2.15071429, rtol=5e-3)
+
+
 _BUBBLE = """
 [parison]
 shape = "disc"

@@ -462,7 +462,7 @@ def test_profile_along_an_axis(axis):
 @pytest.mark.parametrize(
     ("part", "along", "at", "value"),
     [
-        ("along", "angle", (0, 1), (1, 2)),
+        ("along", "height", (0, 1), (1, 2)),
         ("at", "x", (1, 0), (1, 2)),
         ("at", "x", (0, 0), (1, 2)),
         ("at", "x", (0, math.nan), (1, 2)),

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import Field, Tag, model_validator
 
 from jaxform.core.ranges import MOST_STEPS
 from jaxform.io.schema.material import Material
 from jaxform.io.schema.mold import Mold, Tools, check_names, tool_name
 from jaxform.io.schema.parison import Parison
 from jaxform.io.schema.quantities import Triple
-from jaxform.io.validation import Coordinate, Number, Table, declared_range, validation_error
+from jaxform.io.validation import Coordinate, Number, Table, declared_range, form, validation_error
 
 # The table that selects the part from the formed sheet.
 
@@ -69,12 +69,31 @@ class PressureTable(Table):
     interpolation: Literal["linear", "cubic-ramp"] = "linear"
 
 
+_Opening = Annotated[float, declared_range("gas.valve")]
+_SupplyPressure = Annotated[float, declared_range("gas.supply_pressure")]
+_N = TypeVar("_N")
+AtKnots = Annotated[
+    Annotated[_N, Tag("<number>")] | Annotated[list[_N], Tag("<list>")],
+    form(lambda value: "list" if isinstance(value, list) else "number"),
+]
+"""A number, or one for each knot."""
+
+
 class GasTable(Table):
-    """A gas that is blown into the sheet; the pressure is a result. See `jaxform.Gas`.
+    """A gas that is blown into the sheet; the pressure is a result.
+
+    It has a mass flow, a supply behind a valve, a vent, or several of them; see `jaxform.Gas` and `jaxform.GasSupply`.
 
     Attributes:
-        time: Knots [s], increasing.
+        time: Knots [s], increasing; values at them are linear between and held before and after.
         mass_flow: Mass flow into the modelled part [kg/s], one per knot.
+        supply_pressure: Gauge pressure of a supply behind a valve [Pa], a number or one per knot.
+        orifice_area: Area of the open valve [m^2], of the modelled part: of a quarter a quarter.
+        valve: Opening of the valve, 0 to 1, one per knot; open by default.
+        vent_area: Area of the open vent to the outside [m^2], of the modelled part.
+        vent: Opening of the vent, 0 to 1, one per knot; open by default.
+        discharge_coefficient: Discharge coefficient of valve and vent.
+        heat_capacity_ratio: Ratio of the heat capacities of the gas, for the flow through valve and vent.
         temperature: Temperature of the gas [K], constant.
         gas_constant: Specific gas constant [J/(kg K)].
         ambient_pressure: Absolute pressure outside, and inside at first [Pa].
@@ -83,12 +102,39 @@ class GasTable(Table):
     """
 
     time: Annotated[list[Number], Field(min_length=1)]
-    mass_flow: Annotated[list[Number], Field(min_length=1)]
+    mass_flow: Annotated[list[Number], Field(min_length=1)] | None = None
+    supply_pressure: AtKnots[_SupplyPressure] | None = None
+    orifice_area: Annotated[float, declared_range("gas.orifice_area")] | None = None
+    valve: list[_Opening] | None = None
+    vent_area: Annotated[float, declared_range("gas.vent_area")] | None = None
+    vent: list[_Opening] | None = None
+    discharge_coefficient: Annotated[float, declared_range("gas.discharge_coefficient")] | None = None
+    heat_capacity_ratio: Annotated[float, declared_range("gas.heat_capacity_ratio")] | None = None
     temperature: Annotated[float, declared_range("gas.temperature")] = 293.15
     gas_constant: Annotated[float, declared_range("gas.gas_constant")] = 287.06
     ambient_pressure: Annotated[float, declared_range("gas.ambient_pressure")] = 101325.0
     dead_volume: Annotated[float, declared_range("gas.dead_volume")] = 0.0
     closed_by: Literal["clamp"] = "clamp"
+
+    @model_validator(mode="after")
+    def _check(self) -> GasTable:
+        if self.mass_flow is None and self.supply_pressure is None:
+            remedy = "give mass_flow, or supply_pressure with orifice_area"
+            raise validation_error("is missing, and no supply is given", remedy, "mass_flow", None)
+        needs = {"supply_pressure": "orifice_area", "orifice_area": "supply_pressure", "valve": "orifice_area"}
+        for key, other in {**needs, "vent": "vent_area"}.items():
+            if getattr(self, key) is not None and getattr(self, other) is None:
+                raise validation_error(f"is missing, but {key} is given", "give both", other, None)
+        for key in ("discharge_coefficient", "heat_capacity_ratio"):
+            if getattr(self, key) is not None and not self.through_orifices:
+                remedy = "give supply_pressure and orifice_area or vent_area, or leave it out"
+                raise validation_error("has no effect without valve and vent", remedy, key, getattr(self, key))
+        return self
+
+    @property
+    def through_orifices(self) -> bool:
+        """True where the gas has a supply or a vent, through which its pressure drives it."""
+        return self.supply_pressure is not None or self.vent_area is not None
 
 
 class RefinementTable(Table):

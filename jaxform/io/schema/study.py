@@ -102,7 +102,8 @@ class ScaleTable(Table):
     Attributes:
         kind: The kind of variable.
         of: Key of the number or list: material.c, parison.thickness, pressure.value, solver.damping, mold.friction,
-            tool.plug.friction, tool.plug.displacement, tool.plug.time, ... (plug is the name of a tool).
+            tool.plug.friction, tool.plug.displacement, tool.plug.time (plug is the name of a tool), gas.mass_flow,
+            gas.time, gas.supply_pressure, ...
         bounds: Least and largest factor.
     """
 
