@@ -88,6 +88,9 @@ def optimize_study(arguments: argparse.Namespace) -> int:
                 )
         except InputError as error:
             raise error.with_context(file=study.file) from None
+        except KeyboardInterrupt:
+            print(f"jaxform: {_interruption_words(folder)}", file=sys.stderr, flush=True)
+            return session.INTERRUPTED
     if journal.replayed:
         say(f"{journal.replayed} evaluations were reused from the journal")
     optimize.write_history(folder / "history.csv", design.history)
@@ -116,6 +119,18 @@ def _remove_journals(folder: Path) -> None:
     for path in [folder / STARTS, *folder.glob("search.*.jsonl")]:
         with contextlib.suppress(OSError):
             path.unlink()
+
+
+def _interruption_words(folder: Path) -> str:
+    """What to do after an interruption before any search had a design, in words."""
+    count = 0
+    for path in folder.glob("search*.jsonl"):
+        with contextlib.suppress(OSError):
+            with path.open("rb") as file:
+                count += sum(1 for _ in file) - 1  # the first line names the study
+    if not count:
+        return "interrupted before anything was recorded"
+    return f"interrupted; {count} evaluations are recorded: resume with --resume"
 
 
 def _start_words(row: dict[str, Any]) -> str:
@@ -220,3 +235,5 @@ def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
         f"simulations, {facts['seconds']:.0f} s); stopped by {facts['stopped_by']}: {facts['message']}; results in "
         f"{folder}"
     )
+    if design.stopped_by == "interrupted":
+        say("the search continues from here with --resume")

@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import meshio
@@ -300,6 +301,31 @@ def test_scenes_lists_all_and_each_can_be_checked(capfd: pytest.CaptureFixture[s
         assert name in text
     for name in ("dish", "bowl"):
         assert command.main(["check", name]) == 0
+
+
+def test_an_interruption_before_any_design_says_how_to_go_on(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _write(tmp_path)
+    study, out = _write(tmp_path, STUDY.format(method="lbfgs") + "starts = 3\n", "study.toml"), tmp_path / "out"
+    recorded = [0, 0]
+
+    def interrupted(*_: object, journal: Any, **__: object) -> None:
+        for number, count in enumerate(recorded, 1):
+            own = journal.of_start(number)
+            for k in range(count):
+                own.ask("gradient", [float(k)], lambda: {"value": 1.0})
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("optimize.solve", interrupted)
+    for counts, expected in (
+        ([0, 0], "interrupted before anything was recorded"),
+        ([2, 3], "interrupted; 5 evaluations are recorded: resume with --resume"),
+    ):
+        recorded[:] = counts
+        arguments = ["optimize", str(study), "--out", str(out), "--quiet", "--force"]
+        assert command.main(arguments) == session.INTERRUPTED
+        assert capfd.readouterr().err == f"jaxform: {expected}\n"
 
 
 @pytest.mark.parametrize("method", ["lbfgs", "adam"])
