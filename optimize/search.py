@@ -269,7 +269,7 @@ class Search:
         scene = self.scene(free)
         result = formed_part(scene)
         # What the host recorded is as long as the run.
-        whole = dataclasses.replace(result, seconds=None, pressures=None, contacts=None)
+        whole = dataclasses.replace(result, seconds=None, pressures=None, contacts=None, contact_periods=None)
         arguments = scene, whole, self.limits
         value, report = self._program("judge", self.judge, *arguments)(*arguments)
         return _plain(report) | {"value": float(value)}

@@ -26,7 +26,7 @@ from jaxform.io import files
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.result import Result
-from jaxform.results.summary import formed_areas
+from jaxform.results.tool_contact import formed_areas
 from optimize import solvers
 
 # Sphere under a pressure step: alpha, P r0/(c h0), largest stretch, period in r0 sqrt(rho/c).

@@ -18,7 +18,8 @@ from jaxform import scenes
 from jaxform.mesh.bottle import Bottle
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
-from jaxform.results.summary import formed_areas, summarize
+from jaxform.results.summary import summarize
+from jaxform.results.tool_contact import formed_areas
 
 Row = dict[str, Any]
 PAPER = {"body": "60", "neck": "20", "bottom": "about 50", "handle": "50 to 60"}

@@ -31,7 +31,8 @@ from jaxform.io import files, surfaces
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.result import Result, drop_unused
-from jaxform.results.summary import summarize, wall_statistics
+from jaxform.results.summary import summarize
+from jaxform.results.tool_contact import wall_statistics
 
 Row = dict[str, Any]
 Part = tuple[Scene, Result]

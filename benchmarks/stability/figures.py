@@ -31,7 +31,7 @@ from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
 from jaxform.results.result import Result
-from jaxform.results.summary import wall_statistics
+from jaxform.results.tool_contact import wall_statistics
 from jaxform.runs import loop, simulation
 from jaxform.sheet import packing
 from jaxform.sheet.discretization import discretize

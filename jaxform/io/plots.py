@@ -34,7 +34,8 @@ from jaxform.results import sections
 from jaxform.results.part import restrict_to_part
 from jaxform.results.part_warnings import thinnest_element
 from jaxform.results.result import Result, drop_unused
-from jaxform.results.summary import explain, formed_areas, wall_statistics
+from jaxform.results.summary import explain
+from jaxform.results.tool_contact import formed_areas, wall_statistics
 from jaxform.tools.motion import Motion
 
 Array = NDArray[np.float64]

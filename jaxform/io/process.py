@@ -17,7 +17,7 @@ from jaxform.io.surfaces import tool_colors
 from jaxform.io.tool_checks import offsets_of
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
-from jaxform.results.summary import contact_shares, contact_shares_over_time
+from jaxform.results.tool_contact import contact_shares, contact_shares_over_time, tool_label
 from jaxform.tools.mold import Mold
 
 Array = NDArray[np.float64]
@@ -42,11 +42,6 @@ class ProcessHistory(NamedTuple):
     pressure: Array
     displacements: dict[str, Array]
     contact: dict[str, Array]
-
-
-def tool_label(tool: Mold) -> str:
-    """The name of a tool; that of the mold is mold."""
-    return tool.name or "mold"
 
 
 def process_history(scene: Scene, result: Result) -> ProcessHistory | None:

@@ -149,6 +149,8 @@ class Result:
         contact_time: Time of contact of each node (n_node,) [s]; -1 where free, 0 where clamped.
         wall: Contact of a node (n_node,): one more than the number of the mold's triangle, negative if the node came
             from the side opposite to its normal; 0 without contact with the mold.
+        tool_wall: The same of the tools besides the mold (n_node,), in the number of a triangle of the tool that the
+            node touches; None where there are none.
         tool: Number of the tool that a node touches (n_node,), in the order of `Scene.surfaces`: the mold, where there
             is one, then the other tools; -1 without contact.
         fields: The scene's own nodal fields, by name (n_node,); 0 where the node does not exist.
@@ -174,6 +176,8 @@ class Result:
         pressures: Times [s] and pressures [Pa] (2, n), where `run` met a pressure that follows the enclosed volume.
         contacts: Times [s], and shares of the formed area on each of the scene's surfaces (1 + n_surface, n), where
             nodes may slide and `run` recorded them.
+        contact_periods: When nodes first came into contact with each surface, and the last of these times at which one
+            was (n_surface, 2) [s]; NaN for never, None where `contacts` is.
         out_of_range: Numbers of the scene out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 if none. None for `run`, which refuses them.
     """
@@ -208,8 +212,10 @@ class Result:
     loading: Any = None
     pressures: NDArray[np.float64] | None = None
     contacts: NDArray[np.float64] | None = None
+    contact_periods: NDArray[np.float64] | None = None
     out_of_range: jax.Array | None = None
     temperature: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
+    tool_wall: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
 
     def __repr__(self) -> str:
         """The size of the mesh, the time and steps simulated and the status, in one line."""
@@ -276,6 +282,7 @@ def make_result(
         stuck=nodes.stuck,
         contact_time=nodes.contact_time,
         wall=_wall_of_mold(nodes, scene),
+        tool_wall=_wall_of_tools(nodes, scene),
         tool=_touched_tool(nodes),
         fields=nodes.fields,
         triangles=triangles.T,
@@ -318,6 +325,13 @@ def _wall_of_mold(nodes: Nodes, scene: Scene) -> jax.Array:
     if scene.mold is None:
         return jnp.zeros_like(nodes.wall)
     return nodes.wall if nodes.tool is None else jnp.where(nodes.tool == 0, nodes.wall, 0)
+
+
+def _wall_of_tools(nodes: Nodes, scene: Scene) -> jax.Array | None:
+    """What the nodes touch of the tools besides the mold (n_node,), as in `Nodes.wall`; None where there are none."""
+    if not scene.tools:
+        return None
+    return nodes.wall if scene.mold is None or nodes.tool is None else jnp.where(nodes.tool == 0, 0, nodes.wall)
 
 
 def _touched_tool(nodes: Nodes) -> jax.Array:

@@ -23,7 +23,16 @@ from jaxform.results.part_warnings import thinnest_element, warnings_of_part
 from jaxform.results.recovery import thinnest_recovered
 from jaxform.results.result import Energy, Result, Seconds, warnings_of_no_work
 from jaxform.results.sections import symmetry_planes
+from jaxform.results.tool_contact import (
+    contact_elements,
+    formed_areas,
+    measure_tool_penetration,
+    summarize_tools,
+    tool_label,
+    wall_statistics,
+)
 from jaxform.sheet.state import Status
+from jaxform.tools.mold import Mold
 from jaxform.tools.penetration import Penetration, penetration, pull_direction, resting_directions
 
 # The status of a run in words.
@@ -119,12 +128,6 @@ _NODES_BEYOND = 1e-6  # of the sheet's size: tolerated penetration of a node
 _ELEMENTS_BEYOND = 0.5  # of the longest side of an element: tolerated penetration of the element
 
 
-def formed_areas(result: Result) -> np.ndarray:
-    """Final area (n_element,) [m^2] of the elements; 0 where not used."""
-    volume, wall = np.asarray(result.element_volume, float), np.asarray(result.element_thickness, float)
-    return volume / np.where(wall > 0.0, wall, 1.0)
-
-
 def wrinkle_fraction(result: Result) -> np.ndarray:
     """Share of the sheet that lies in wrinkles (n_element,), where it is narrower than its tension would leave it.
 
@@ -137,17 +140,8 @@ def wrinkle_fraction(result: Result) -> np.ndarray:
     return 1.0 - np.sqrt(larger * smaller / np.asarray(relaxed.determinant, float))
 
 
-def wall_statistics(result: Result) -> dict[str, float]:
-    """Least, mean and largest thickness [m] of the elements and its coefficient of variation, by formed area."""
-    used = np.asarray(result.used)
-    area, wall = formed_areas(result)[used], np.asarray(result.element_thickness, float)[used]
-    mean = float(np.average(wall, weights=area))
-    spread = float(np.sqrt(np.average(np.square(wall - mean), weights=area)))
-    return {"min": float(wall.min()), "mean": mean, "max": float(wall.max()), "cv": spread / mean}
-
-
 PENDING = ("penetration_max", "penetration_place", "gap_max", "gap_place")
-"""Keys of a summary that is written before the part is measured against the mold: they are null there."""
+"""Keys of a summary that is written before the part is measured against mold and tools: they are null there."""
 
 
 @with_standard_promotion
@@ -163,15 +157,23 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "gap_place": filling.gap.place.tolist(),
     }
     facts = _facts(result, scene)
+    molds = [] if scene.mold is None else [(scene.mold, beyond)]
+    each = [*molds, *((tool, measure_tool_penetration(result, scene, k)) for k, tool in enumerate(scene.tools))]
+    tools = [
+        entry
+        | {
+            "penetration_max": found.deepest,
+            "penetration_place": found.deepest_place.tolist() if found.deepest else None,
+        }
+        for entry, (_, found) in zip(facts["tools"], each, strict=True)
+    ]
     warned = [
         *facts["warnings"],
         *warnings_of_part(result, scene),
-        *warnings_of_mold(result, scene, beyond),
-        *_warnings_of_ribs(beyond),
-        *_warnings_of_unmeasured(beyond),
+        *(sentence for tool, found in each for sentence in _warnings_of_penetration(result, scene, found, tool)),
         *warnings_of_filling(result, scene, filling),
     ]
-    return facts | measured | {"warnings": warned}
+    return facts | measured | {"tools": tools, "warnings": warned}
 
 
 @with_standard_promotion
@@ -208,7 +210,8 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
         "thickness": wall_statistics(part),
         "thinnest": thinnest_element(part, scene) | thinnest_recovered(part, scene),
         "symmetry_planes": {"xyz"[axis]: level for axis, level in symmetry_planes(scene).items()},
-        "contact_fraction": float(area[_contact_elements(result)].sum() / area.sum()),
+        "contact_fraction": float(area[contact_elements(result)].sum() / area.sum()),
+        "tools": summarize_tools(result, scene),
         **_wrinkles(result, scene, area),
         **_temperatures(result, scene),
         **_pressures(result),
@@ -280,59 +283,72 @@ def _warnings_of_inertia(result: Result, scene: Scene) -> list[str]:
 
 def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[str]:
     """A sentence where the part penetrates the mold so far that its shape is unreliable."""
-    if scene.mold is None:
-        return []
+    return [] if scene.mold is None else _warnings_of_depth(result, scene, beyond, "the mold")
+
+
+def _warnings_of_penetration(result: Result, scene: Scene, beyond: Penetration, tool: Mold) -> list[str]:
+    """Sentences about the penetration of the mold, or of another tool, by the part."""
+    name = "the mold" if tool is scene.mold else f"tool {tool_label(tool)}"
+    return [
+        *_warnings_of_depth(result, scene, beyond, name),
+        *_warnings_of_ribs(beyond, name),
+        *_warnings_of_unmeasured(beyond, name),
+    ]
+
+
+def _warnings_of_depth(result: Result, scene: Scene, beyond: Penetration, name: str) -> list[str]:
+    """A sentence where the part penetrates a tool so far that its shape, or its wall there, is unreliable."""
     corners = np.asarray(result.positions, float)[np.asarray(result.triangles)[np.asarray(result.used)]]
     side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
     size = float(np.ptp(np.asarray(scene.parison.positions), axis=0).max())
     if beyond.nodes <= _NODES_BEYOND * size and beyond.elements <= _ELEMENTS_BEYOND * side:
-        return _warnings_of_cut_edges(
-            beyond, corners, np.asarray(result.element_thickness, float)[np.asarray(result.used)]
-        )
+        walls = np.asarray(result.element_thickness, float)[np.asarray(result.used)]
+        return _warnings_of_cut_edges(beyond, corners, walls, name)
     return [
-        f"the sheet penetrates the mold, by up to {beyond.elements:.3g} m at {format_place(beyond.place)}: it hangs "
-        "over the mold's rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the "
+        f"the sheet penetrates {name}, by up to {beyond.elements:.3g} m at {format_place(beyond.place)}: it hangs "
+        "over its rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the "
         "elements smaller"
     ]
 
 
-def _warnings_of_ribs(beyond: Penetration) -> list[str]:
-    """A sentence where the sheet passed through ribs or pins of the mold between its nodes."""
+def _warnings_of_ribs(beyond: Penetration, name: str) -> list[str]:
+    """A sentence where the sheet passed through ribs or pins of a tool between its nodes."""
     ribs = beyond.ribs
     if not ribs.count:
         return []
     where = "in 1 place" if ribs.count == 1 else f"in about {ribs.count} places"
     return [
-        f"the sheet passed through a rib or pin of the mold {where}, which stands {ribs.height:.3g} m above it at "
+        f"the sheet passed through a rib or pin of {name} {where}, which stands {ribs.height:.3g} m above it at "
         f"{format_place(ribs.place)} and is {ribs.width:.2g} m wide there: contact is detected at nodes, and no node "
         "met it; the wall is computed without it; make parison.element_size smaller than its width, or add "
         "[refinement] with a larger max_level"
     ]
 
 
-def _warnings_of_unmeasured(beyond: Penetration) -> list[str]:
-    """A sentence where elements are so large that they are not compared with the mold."""
+def _warnings_of_unmeasured(beyond: Penetration, name: str) -> list[str]:
+    """A sentence where elements are so large that they are not compared with a tool."""
     if not beyond.unmeasured:
         return []
     return [
-        f"{beyond.unmeasured} elements became so large that they were not compared with the mold: penetration_max is "
-        "that of the others; the sheet burst, or its elements are too few for the mold"
+        f"{beyond.unmeasured} elements became so large that they were not compared with {name}: penetration_max is "
+        "that of the others; the sheet burst, or its elements are too few for it"
     ]
 
 
-def _warnings_of_cut_edges(beyond: Penetration, corners: np.ndarray, walls: np.ndarray) -> list[str]:
-    """A sentence where an element cuts the mold deeper than its wall is thick.
+def _warnings_of_cut_edges(beyond: Penetration, corners: np.ndarray, walls: np.ndarray, name: str) -> list[str]:
+    """A sentence where an element cuts a tool deeper than its wall is thick.
 
     Args:
-        beyond: Penetration of the part into the mold, and its place.
+        beyond: Penetration of the part into the tool, and its place.
         corners: Corners of the elements (n_element, 3, 3) [m].
         walls: Their thickness (n_element,) [m].
+        name: Name of the tool in the sentence.
     """
     nearest = int(np.argmin(np.linalg.norm(corners.mean(1) - beyond.place, axis=1)))
     if not beyond.elements > walls[nearest]:
         return []
     return [
-        f"an element cuts an edge of the mold, {beyond.elements:.3g} m deep at {format_place(beyond.place)}, deeper "
+        f"an element cuts an edge of {name}, {beyond.elements:.3g} m deep at {format_place(beyond.place)}, deeper "
         f"than its wall of {walls[nearest]:.3g} m: its nodes lie on both sides of the edge; make parison.element_size "
         "smaller, or add [refinement]"
     ]
@@ -367,36 +383,3 @@ def add_filling(result: Result, scene: Scene) -> Result:
     short = scene.fill and filling.unfilled and not int(result.status) & ~Status.UNBALANCED
     status = result.status | Status.UNFILLED if short else result.status
     return dataclasses.replace(result, filling=filling, status=status)
-
-
-def contact_shares(result: Result, count: int) -> np.ndarray:
-    """Shares (count,) of the formed area that touch each of so many tools, as in `Scene.surfaces`.
-
-    An element touches a tool if it counts for the summary's `contact_fraction`, which is their sum; one between two
-    tools is counted with the later one.
-    """
-    area, tool = formed_areas(result), np.asarray(result.tool)[np.asarray(result.triangles)].max(1, initial=-1)
-    touching = _contact_elements(result)
-    return np.array([area[touching & (tool == number)].sum() for number in range(count)]) / area.sum()
-
-
-def contact_shares_over_time(result: Result, time: np.ndarray, count: int) -> np.ndarray:
-    """Shares (count, n) like `contact_shares` at times (n,) [s], of tools to which nodes stick: contact never ends."""
-    area, triangles = formed_areas(result), np.asarray(result.triangles)
-    tool = np.asarray(result.tool)[triangles].max(1, initial=-1)
-    last = np.asarray(result.contact_time, float)[triangles].max(1, initial=0.0)
-    shares = []
-    for number in range(count):
-        touching = _contact_elements(result) & (tool == number)
-        order = np.argsort(last[touching])
-        so_far = np.concatenate([[0.0], np.cumsum(area[touching][order])])
-        shares.append(so_far[np.searchsorted(last[touching][order], time, side="right")] / area.sum())
-    return np.array(shares).reshape(count, len(time))
-
-
-def _contact_elements(result: Result) -> np.ndarray:
-    """Elements with three nodes that are clamped or touch a tool (n_element,), at least one of which touches one."""
-    triangles = np.asarray(result.triangles)
-    held = np.asarray(result.stuck) | (np.asarray(result.tool) >= 0)
-    stuck, touched = held[triangles], (np.asarray(result.contact_time) > 0)[triangles]
-    return stuck.all(1) & touched.any(1)

@@ -20,7 +20,8 @@ from jaxform.model.scene import Scene
 from jaxform.results.filling import may_be_unfilled
 from jaxform.results.part_warnings import has_burst, warnings_of_part
 from jaxform.results.result import Result, Seconds
-from jaxform.results.summary import add_filling, contact_shares, warnings_of
+from jaxform.results.summary import add_filling, warnings_of
+from jaxform.results.tool_contact import contact_shares
 from jaxform.runs.loop import IN_MEMORY, programs, select_bucket
 from jaxform.sheet.state import State, Status, Taken
 
@@ -183,6 +184,7 @@ def _run(
     recorded = {
         "pressures": np.array(pressures).T if pressures else None,
         "contacts": None if contacts is None else contacts.rows(),
+        "contact_periods": None if contacts is None else contacts.periods(),
     }
     final = dataclasses.replace(final, seconds=seconds, **recorded)
     if on_end is not None:
@@ -204,18 +206,28 @@ class _ContactRecord:
         self._count = len(scene.surfaces)
         self._times: list[float] = []
         self._shares: list[np.ndarray] = []
+        self._periods = np.full((self._count, 2), np.nan)
 
     def offer(self, moment: Moment) -> None:
         """Records the shares, unless the last ones are recent."""
         if not self._times or moment.time >= self._times[-1] + self._every:
+            result = moment.result()
             self._times.append(moment.time)
-            self._shares.append(contact_shares(moment.result(), self._count))
+            self._shares.append(contact_shares(result, self._count))
+            tool, landed = np.asarray(result.tool), np.asarray(result.contact_time, float)
+            for number in np.unique(tool[tool >= 0]):
+                first, _ = self._periods[number]
+                self._periods[number] = np.fmin(first, landed[tool == number].min()), moment.time
 
     def rows(self) -> np.ndarray:
         """Times and shares (1 + count, n), from 0 on, when nothing has been formed yet."""
         shares = np.array(self._shares).reshape(-1, self._count)
         rows = np.concatenate([np.array(self._times)[:, None], shares], axis=1)
         return np.concatenate([np.zeros((1, 1 + self._count)), rows]).T
+
+    def periods(self) -> np.ndarray:
+        """When nodes first came into contact with each, and the last time they were (count, 2) [s]; NaN for never."""
+        return self._periods
 
 
 def _record_pressure(pressures: list[tuple[float, float]], state: State) -> None:

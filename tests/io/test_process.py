@@ -18,8 +18,10 @@ from jaxform.cli import command, session
 from jaxform.core.store import Store
 from jaxform.io import files, process
 from jaxform.io.report import stored_results
-from jaxform.results.summary import contact_shares, contact_shares_over_time
-from tests import scenes
+from jaxform.mesh import meshes
+from jaxform.results.tool_contact import contact_shares, contact_shares_over_time
+from tests import browser, scenes
+from tests.io.test_report import _parcel
 
 PRESSURE = "[pressure]\ntime = [0.0, 0.02, 0.04]\nvalue = [0.0, 0.0, 3.0e4]\n"
 PLUG = """
@@ -59,6 +61,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "out" / stale).write_text("of what was here before")
     assert command.main(["simulate", str(folder / "scene.toml"), "--out", str(folder / "out"), "--force"]) == 0
     return folder / "out"
+
+
+def _areas(corners: np.ndarray) -> np.ndarray:
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
 def _rows(folder: Path) -> dict[str, np.ndarray]:
@@ -114,6 +120,70 @@ def test_the_report_has_the_tool_and_the_process(folder: Path) -> None:
     assert [tool.name for tool in results.tools] == ["plug"] and results.tools[0].motion is not None
     assert len(results.process) == len(_rows(folder)["time"])
     assert (folder / "report.html").is_file()
+
+
+def test_the_report_colours_elements_by_the_tool_that_they_touch(folder: Path) -> None:
+    facts, arrays = _parcel(folder / "report.html")
+    (quantity,) = [each for each in facts["quantities"] if each["key"] == "tool"]
+    assert quantity["names"] == ["mold", "plug"] and (quantity["low"], quantity["high"]) == (0.0, 1.0)
+    part = meshes.read_mesh(folder / "final.vtu")
+    found = arrays["part0.tool"][:, 0]
+    assert set(np.unique(found)) == {0.0}
+    area, wall = _areas(part.positions[part.triangles]), part.cell_fields["thickness"]
+    summary = json.loads((folder / "summary.json").read_text())
+    mold, plug = summary["tools"]
+    assert (mold["name"], plug["name"]) == ("mold", "plug")
+    assert area[found == 0].sum() / area.sum() == pytest.approx(mold["contact_fraction"], rel=1e-6)
+    assert wall[found == 0].min() == pytest.approx(mold["thickness"]["min"], rel=1e-6)
+    assert mold["contact_fraction"] + plug["contact_fraction"] == pytest.approx(summary["contact_fraction"])
+    # The plug touches the flat sheet when it has gone a millimetre, and is the only one at half time.
+    met = 0.02 * next(root.real for root in np.roots([-2.0, 3.0, 0.0, -1.0 / 30.0]) if 0.0 < root.real < 1.0)
+    assert plug["contact_period"][0] == pytest.approx(met, rel=0.05)
+    assert (
+        0.02 < plug["contact_period"][1] < 0.03
+        and 0.02 < mold["contact_period"][0]
+        and mold["contact_period"][1] == summary["time"]
+    )
+    first, half = arrays["part1.tool"], arrays["part2.tool"]
+    assert np.isnan(first).all() and set(half[np.isfinite(half)]) == {0.0}
+    assert plug["work"] == summary["energy"]["tool_work"] > 0.0 == mold["work"]
+    assert plug["friction_loss"] == summary["energy"]["friction_loss"] > 0.0 == mold["friction_loss"]
+    page = (folder / "report.html").read_text()
+    row = page[page.index('<th scope="row">plug</th>') :]
+    assert f">{plug['work']:.3g}<" in row[: row.index("</tr>")]
+
+
+def test_which_tool_an_element_touches() -> None:
+    """On the mold, on the plug, between both, with a clamped corner, clamped, and with a free corner."""
+    tool = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, -1.0, -1.0])
+    time = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.0, -1.0])
+    triangles = np.array([[0, 1, 2], [3, 4, 5], [1, 2, 3], [0, 1, 6], [6, 6, 6], [0, 1, 7]], np.int32)
+    places = np.zeros((8, 3))
+    nodal = {"tool": tool, "contact_time": time}
+    part = stored_results.StoredPart(places, places, triangles, nodal, {})
+    np.testing.assert_array_equal(part.touched_tools, [0.0, 1.0, 1.0, 0.0, np.nan, np.nan])
+    old = part._replace(nodal={"contact_time": time})  # of a version without it
+    assert np.isnan(old.touched_tools).all()
+
+
+def test_a_browser_names_the_tool_that_was_clicked_on(folder: Path, tmp_path: Path) -> None:
+    if browser.found() is None:
+        pytest.skip("no Chromium or Chrome on this machine")
+    with browser.browser(tmp_path) as page:
+        page.visit(folder / "report.html", "document.documentElement?.dataset.ready")
+        options = page.value("[...document.getElementById('quantity').options].map(({text}) => text)")
+        number = options.index("tool in contact")
+        change = f"it.value = '{number}', it.dispatchEvent(new Event('change'))"
+        page.value(f"(it => ({change}))(document.getElementById('quantity'))")
+        page.frame()
+        names = page.value("[...document.querySelectorAll('#bar .ticks span')].map(({textContent}) => textContent)")
+        assert names == ["mold", "plug"]
+        page.value("document.getElementById('canvas').focus()")
+        page.key("Enter")
+        page.frame()
+        words = page.value("document.getElementById('reading').innerText").split("\n")
+        assert words[words.index("tool in contact") + 1] in ("mold", "none")
+        assert page.complaints == []
 
 
 def test_contact_over_time_ends_with_that_of_the_end() -> None:

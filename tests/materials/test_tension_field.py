@@ -17,7 +17,7 @@ from jaxform import shapes
 from jaxform.core.errors import InputError
 from jaxform.io import files, output
 from jaxform.mechanics import membrane, stiffness
-from jaxform.results import summary
+from jaxform.results import tool_contact
 from tests import scenes
 from tests.scenes import real
 
@@ -172,7 +172,7 @@ def test_a_file_asks_for_it_and_the_part_tells_of_its_wrinkles(tmp_path: Path) -
     found = meshio.read(tmp_path / "final.vtu").cell_data["wrinkled"][0]
     assert found.min() >= -1e-12 and found.max() < 1.0
     assert told["wrinkled_fraction"] == json.loads((tmp_path / "summary.json").read_text())["wrinkled_fraction"]
-    area = summary.formed_areas(result)
+    area = tool_contact.formed_areas(result)
     np.testing.assert_allclose(told["wrinkled_fraction"], area @ found / area.sum(), rtol=1e-9)
 
 

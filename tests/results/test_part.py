@@ -24,7 +24,8 @@ from jaxform.core.errors import InputError
 from jaxform.io import export, files, plots
 from jaxform.results.part import mask_part, part_elements
 from jaxform.results.result import Result
-from jaxform.results.summary import formed_areas, summarize
+from jaxform.results.summary import summarize
+from jaxform.results.tool_contact import formed_areas
 from optimize.search import Search
 from optimize.wall_statistics import wall
 from tests import scenes

@@ -55,13 +55,14 @@ def _page(results: Results) -> str:
         "thinnest": results.summary["thickness"]["min"],
         "thickest": results.summary["thickness"]["max"],
     }
-    design = page.design(results.summary)
+    design, tools = page.design(results.summary), page.tools(results)
     parts = {
         "title": escape(f"{results.summary['scene']}: jaxform report"),
         "style": _text("page.css"),
         "heading": page.heading(results),
         "quality": page.quality(results),
         "measure": page.to_measure(points),
+        "tools": f'<div class="columns"><section class="card">{tools}</section></div>' if tools else "",
         "design": f"<section class=card>{design}</section>" if design else "",
         "energy": page.energy(results.summary),
         "scene": page.scene(results),

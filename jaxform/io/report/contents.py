@@ -161,6 +161,7 @@ _NODAL_QUANTITIES = (
     Quantity("initial_thickness", "initial thickness", "mm", 1e3),
     Quantity("temperature", "temperature of the sheet", "°C"),
 )
+_TOOL = Quantity("tool", "tool in contact")
 _ALWAYS = ("thickness", "stretch_1", "stretch_2", "contact_time")  # others are shown where they vary
 
 
@@ -168,7 +169,8 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
     """Packs meshes, parts and mold; returns their description for the page, as plain numbers and words."""
     search = results.start is not None
     end = float(results.summary.get("time") or 0.0)
-    parts = _Parts(parcel, [results.motion, *(tool.motion for tool in results.tools)], end)
+    names = tool_names(results)
+    parts = _Parts(parcel, [results.motion, *(tool.motion for tool in results.tools)], end, bool(names))
     parts.add(results.part, "best design" if search else "end", end)
     if results.start is not None:
         parts.add(results.start, "start of the search", end)
@@ -178,7 +180,10 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
         "parts": parts.described,
         "search": search,
         "end": end,
-        "quantities": _quantities([part for part in (results.part, results.start) if part is not None]),
+        "quantities": [
+            *_quantities([part for part in (results.part, results.start) if part is not None]),
+            *([_of_tools(names)] if names else []),
+        ],
         "symmetry": symmetry_of(results),
         "hangs": _hangs(results.part, results.motion is not None),
         "mold": None if results.mold is None else _pack_mold(results.mold, symmetry_of(results), parcel),
@@ -189,6 +194,17 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
     }
 
 
+def tool_names(results: Results) -> list[str]:
+    """Names of the mold and the tools, by their numbers, where there are tools that elements can be coloured by."""
+    names = [str(tool["name"]) for tool in results.summary.get("tools", [])]
+    return names if results.tools and "tool" in results.part.nodal else []
+
+
+def _of_tools(names: list[str]) -> dict[str, Any]:
+    """The quantity that has a colour for each tool."""
+    return _TOOL._asdict() | {"low": 0.0, "high": max(len(names) - 1.0, 1.0), "of": "elements", "names": names}
+
+
 def symmetry_of(results: Results) -> dict[str, float]:
     """Place [m] of the planes about which the modelled part is symmetric, by the name of their axis."""
     return {"xyz"[axis]: level for axis, level in previous_results.symmetry_planes(results.summary).items()}
@@ -197,8 +213,9 @@ def symmetry_of(results: Results) -> dict[str, float]:
 class _Parts:
     """Parts that are packed one after the other; those with the same mesh share it."""
 
-    def __init__(self, parcel: Parcel, motions: Sequence[Motion | None], end: float) -> None:
+    def __init__(self, parcel: Parcel, motions: Sequence[Motion | None], end: float, tools: bool) -> None:
         self.described: list[dict[str, Any]] = []
+        self._tools = tools
         self._motions, self._end = motions, end
         self._parcel = parcel
         self._meshes: list[tuple[StoredPart, NDArray[np.int64]]] = []
@@ -225,6 +242,8 @@ class _Parts:
                 self._parcel.add(name, values, relative=quantity.relative, coarse=coarse)
         for name, values in nodal.items():
             self._parcel.add(f"{prefix}.{name}", values, coarse=coarse)
+        if self._tools:
+            self._parcel.add(f"{prefix}.tool", part.touched_tools)  # of few values, which take little space
         mold, *tools = [self._offset(motion, time) for motion in self._motions]
         self.described.append({"label": label, "time": time, "mesh": mesh, "mold": mold, "tools": tools})
 

@@ -64,7 +64,7 @@ class Overlay {
 }
 
 // The colours of a quantity with numbers beside them: the thinnest wall, and the value that was picked.
-function colorBar({ low, high, label, unit, key }, { thinnest, thickest }, picked, gaps) {
+function colorBar({ low, high, label, unit, key, names }, { thinnest, thickest }, picked, gaps) {
   const bar = get("bar"),
     box = bar.querySelector(".ticks"),
     span = high - low,
@@ -75,6 +75,7 @@ function colorBar({ low, high, label, unit, key }, { thinnest, thickest }, picke
   bar.querySelector("i").style.background = `linear-gradient(to top, ${VIRIDIS.map((hex) => `#${hex}`).join()})`;
   bar.querySelector("em").textContent = gaps ? "grey: free, or held from the start" : "";
   box.replaceChildren();
+  if (names) return nameColors(bar, names);
   const tick = (value, text, kind) => {
     element(box, "span", { className: kind }, text).style.bottom = `${100 * clamp((value - low) / span, 0, 1)}%`;
   };
@@ -84,6 +85,19 @@ function colorBar({ low, high, label, unit, key }, { thinnest, thickest }, picke
   if (more) tick(high, `${short(high, 3)} and more`, "");
   if (Number.isFinite(thin)) tick(thin, `thinnest ${short(thin, 3)}`, "thin");
   if (Number.isFinite(picked)) tick(picked, "", "here");
+}
+
+// A block of colour with its name for each of a few values: 0, 1, ...
+function nameColors(bar, names) {
+  const colors = mapColors(Math.max(names.length, 2)),
+    blocks = names.map((_, k) => {
+      const color = `rgb(${colors.subarray(4 * k, 4 * k + 3).join()})`;
+      return `${color} ${(100 * k) / names.length}% ${(100 * (k + 1)) / names.length}%`;
+    });
+  bar.querySelector("i").style.background = `linear-gradient(to top, ${blocks.join()})`;
+  names.forEach((name, k) => {
+    element(bar.querySelector(".ticks"), "span", {}, name).style.bottom = `${(100 * (k + 0.5)) / names.length}%`;
+  });
 }
 
 function inImage({ flip, shift }, place) {

@@ -120,7 +120,7 @@ class Page {
       normal = cornerNormals(position, part.nodes, this.view.planes),
       value = part.values(this.quantity).map((x) => (Number.isFinite(x) ? x : NONE)),
       wall = part.values(this.facts.quantities[0]);
-    this.gaps ||= this.quantity.key === "contact_time" && value.includes(NONE);
+    this.gaps ||= ["contact_time", TOOL].includes(this.quantity.key) && value.includes(NONE);
     return { part, surface: this.view.surface({ position, normal, value, wall }, 3 * part.count) };
   }
 

@@ -144,6 +144,47 @@ def quality(results: Results) -> str:
     return f"<h2>The part</h2><table>{body}</table>"
 
 
+def tools(results: Results) -> str:
+    """The table of mold and tools; nothing where there are no tools besides a mold that rests."""
+    figures = results.summary.get("tools", [])
+    if len(figures) < 2 and results.motion is None and not results.tools:
+        return ""
+    rows = "".join(
+        f'<tr><th scope="row">{escape(str(tool["name"]))}</th>'
+        + "".join(f"<td class=number>{value}</td>" for value in _tool_values(tool))
+        + "</tr>"
+        for tool in figures
+    )
+    words = (
+        "",
+        "contact at the end [%]",
+        "at most [%]",
+        "from&ndash;to [s]",
+        "wall there, least / mean [mm]",
+        "work [J]",
+        "friction [J]",
+        "penetration [mm]",
+    )
+    head = "".join(f'<th scope="col">{text}</th>' for text in words)
+    return (
+        f"<h2>Mold and tools</h2><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        '<p class="quiet">Contact as a share of the formed area; energies of the modelled part, a dash where they are '
+        "known only of all tools together.</p>"
+    )
+
+
+def _tool_values(tool: Mapping[str, Any]) -> Iterable[str]:
+    """The values of a row of the table of tools, in the order of its head."""
+    wall = tool.get("thickness") or {}
+    yield number(tool.get("contact_fraction"), 100, 3)
+    yield number(tool.get("contact_fraction_max"), 100, 3)
+    yield "&ndash;".join(number(time, digits=3) for time in tool.get("contact_period") or []) or _NOTHING
+    yield f"{number(wall.get('min'), 1e3, 3)} / {number(wall.get('mean'), 1e3, 3)}" if wall else _NOTHING
+    yield number(tool.get("work"), digits=3)
+    yield number(tool.get("friction_loss"), digits=3)
+    yield number(tool.get("penetration_max"), 1e3, 2)
+
+
 def to_measure(points: Sequence[MeasuringPoint]) -> str:
     """The table of places to measure on a first part, which can be shown in the view, and how they were chosen."""
     rows = "".join(

@@ -3,6 +3,7 @@
 const CREASE = Math.cos((35 * Math.PI) / 180);
 const MIDDLE = [1 / 3, 1 / 3, 1 / 3]; // of an element, as shares of its corners
 const AREA_STRETCH = "area_stretch";
+const TOOL = "tool";
 
 class Part {
   constructor(facts, number) {
@@ -33,11 +34,17 @@ class Part {
       for (let k = 0; k < found.length; k++) found[k] = first[(k / 3) | 0] * second[(k / 3) | 0];
       return found;
     }
-    const raw = this.raw(key);
+    const raw = key === TOOL ? this.touchedTools() : this.raw(key);
     if (!raw) return found;
     for (let k = 0; k < found.length; k++) found[k] = factor * (of === "nodes" ? raw[this.nodes[k]] : raw[(k / 3) | 0]);
     if (key === "contact_time") lastOfCorners(found);
     return found;
+  }
+
+  // The number of the tool that each element touches; NaN where it touches none.
+  touchedTools() {
+    const raw = this.facts.array(`${this.prefix}.${TOOL}`);
+    return raw && raw.map(Math.round);
   }
 
   cornersOf(values) {
@@ -88,6 +95,7 @@ class Part {
       thickness: own("thickness"),
       stretches: [own("stretch_1"), own("stretch_2")],
       level: own("level"),
+      tool: (this.touchedTools() || [])[element] ?? NaN,
     };
   }
 

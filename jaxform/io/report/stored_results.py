@@ -64,6 +64,17 @@ class _DesignFacts(_FactsTable):
     message: str = ""
 
 
+class _ToolFacts(_FactsTable):
+    name: str
+    contact_fraction: Number = None
+    contact_fraction_max: Number = None
+    contact_period: list[Number] | None = None
+    thickness: _WallFacts | None = None
+    work: Number = None
+    friction_loss: Number = None
+    penetration_max: Number = None
+
+
 class _SummaryFacts(_FactsTable):
     scene: str
     status: str
@@ -74,6 +85,7 @@ class _SummaryFacts(_FactsTable):
     thinnest: _Thinnest
     symmetry_planes: dict[str, float] = {}
     contact_fraction: Number
+    tools: list[_ToolFacts] = []
     mass: Number
     sheet_mass: Number = None
     penetration_max: Number = None
@@ -125,6 +137,15 @@ class StoredPart(NamedTuple):
     triangles: NDArray[np.int32]
     nodal: dict[str, Array]
     cells: dict[str, Array]
+
+    @property
+    def touched_tools(self) -> Array:
+        """The number of the tool that each element touches (n_element,): NaN where it touches none, or is not known."""
+        if "tool" not in self.nodal:
+            return np.full(len(self.triangles), np.nan)
+        tool, time = (self.nodal[name][self.triangles] for name in ("tool", "contact_time"))
+        touches = ((tool >= 0) | (time >= 0)).all(1) & (time > 0).any(1)
+        return np.where(touches, tool.max(1), np.nan)
 
     @property
     def part_mask(self) -> Array | None:

@@ -16,6 +16,8 @@ function wordsOf({ reading, part, beside }) {
     ["initial place in the sheet", places(reading.initial)],
     ["contact", touchWords(reading.times)],
   ];
+  const tools = part.facts.quantities.find(({ key }) => key === TOOL);
+  if (tools) found.push(["tool in contact", tools.names[reading.tool] ?? "none"]);
   if (beside) found.unshift(["part", part.label]);
   if (Number.isFinite(initial)) found.push(["initial thickness", `${short(MM * initial)} mm`]);
   if (Number.isFinite(warm)) found.push(["temperature of the sheet", `${short(warm)} °C`]);
@@ -32,6 +34,7 @@ function wordsOf({ reading, part, beside }) {
 function valueAt(reading, { key, of, factor }) {
   if (key === AREA_STRETCH) return reading.stretches[0] * reading.stretches[1];
   if (key === "contact_time") return touched(reading.times);
+  if (key === TOOL) return reading.tool;
   return factor * (of === "nodes" ? reading.nodal(key) : reading.own(key));
 }
 

@@ -1,0 +1,142 @@
+"""Contact of a formed part with the mold and each tool: shares of its area, its wall there, and figures per tool."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.pytree import as_real
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result
+from jaxform.tools.contact_law import Slide
+from jaxform.tools.mold import Mold
+from jaxform.tools.penetration import Penetration, penetration
+
+Array = NDArray[np.float64]
+
+
+def formed_areas(result: Result) -> Array:
+    """Final area (n_element,) [m^2] of the elements; 0 where not used."""
+    volume, wall = np.asarray(result.element_volume, float), np.asarray(result.element_thickness, float)
+    return volume / np.where(wall > 0.0, wall, 1.0)
+
+
+def wall_statistics(result: Result, chosen: NDArray[np.bool_] | None = None) -> dict[str, float]:
+    """Least, mean and largest thickness [m] of the elements and its coefficient of variation, by formed area.
+
+    Args:
+        result: The part.
+        chosen: Mask of the elements (n_element,) that count; all by default.
+    """
+    used = np.asarray(result.used) if chosen is None else np.asarray(result.used) & chosen
+    area, wall = formed_areas(result)[used], np.asarray(result.element_thickness, float)[used]
+    mean = float(np.average(wall, weights=area))
+    spread = float(np.sqrt(np.average(np.square(wall - mean), weights=area)))
+    return {"min": float(wall.min()), "mean": mean, "max": float(wall.max()), "cv": spread / mean}
+
+
+def contact_elements(result: Result) -> NDArray[np.bool_]:
+    """Elements with three nodes that are clamped or touch a tool (n_element,), at least one of which touches one."""
+    triangles = np.asarray(result.triangles)
+    held = np.asarray(result.stuck) | (np.asarray(result.tool) >= 0)
+    stuck, touched = held[triangles], (np.asarray(result.contact_time) > 0)[triangles]
+    return stuck.all(1) & touched.any(1)
+
+
+def touched_tools(result: Result) -> NDArray[np.int64]:
+    """The number of the tool that each element touches (n_element,), as in `Scene.surfaces`; -1 for none.
+
+    An element touches a tool if it counts for the summary's `contact_fraction`; one between two tools is counted with
+    the later one.
+    """
+    tool = np.asarray(result.tool)[np.asarray(result.triangles)].max(1, initial=-1)
+    return np.where(contact_elements(result), tool, -1)
+
+
+def contact_shares(result: Result, count: int) -> Array:
+    """Shares (count,) of the formed area that touch each of so many tools, as in `Scene.surfaces`.
+
+    Their sum is the summary's `contact_fraction`.
+    """
+    area, touched = formed_areas(result), touched_tools(result)
+    return np.array([area[touched == number].sum() for number in range(count)]) / area.sum()
+
+
+def contact_shares_over_time(result: Result, time: Array, count: int) -> Array:
+    """Shares (count, n) like `contact_shares` at times (n,) [s], of tools to which nodes stick: contact never ends."""
+    area, touched = formed_areas(result), touched_tools(result)
+    last = np.asarray(result.contact_time, float)[np.asarray(result.triangles)].max(1, initial=0.0)
+    shares = []
+    for number in range(count):
+        touching = touched == number
+        order = np.argsort(last[touching])
+        so_far = np.concatenate([[0.0], np.cumsum(area[touching][order])])
+        shares.append(so_far[np.searchsorted(last[touching][order], time, side="right")] / area.sum())
+    return np.array(shares).reshape(count, len(time))
+
+
+def tool_label(tool: Mold) -> str:
+    """The name of a tool; that of the mold is mold."""
+    return tool.name or "mold"
+
+
+def summarize_tools(result: Result, scene: Scene) -> list[dict[str, Any]]:
+    """Figures of the mold and each tool, in the order of `Scene.surfaces`; their penetration is null here.
+
+    Work and friction are known of a tool where no other one moves, or rubs; else they are null.
+    """
+    tools = [surface.mold for surface in scene.surfaces]
+    shares, touched = contact_shares(result, len(tools)), touched_tools(result)
+    moving = [tool.motion is not None for tool in tools]
+    rubbing = [not (tool.contact.sticks or isinstance(tool.contact, Slide)) for tool in tools]
+    return [
+        {
+            "name": tool_label(tool),
+            "contact_fraction": float(shares[number]),
+            **_contact_over_time(result, number, float(shares[number])),
+            "thickness": wall_statistics(result, touched == number) if (touched == number).any() else None,
+            "work": _share_of(float(result.energy.tool_work), moving, number),
+            "friction_loss": _share_of(float(result.energy.friction_loss), rubbing, number),
+            "penetration_max": None,
+            "penetration_place": None,
+        }
+        for number, tool in enumerate(tools)
+    ]
+
+
+def _contact_over_time(result: Result, number: int, share: float) -> dict[str, Any]:
+    """Largest share of the formed area on a tool at any time, when something touches it, and since when it does."""
+    landed = np.asarray(result.contact_time, float)[np.asarray(result.tool) == number]
+    times = [float(landed.min()), float(result.time)] if len(landed) else []
+    most = share
+    if result.contacts is not None and result.contact_periods is not None:
+        most = max(most, float(result.contacts[1 + number].max(initial=0.0)))
+        times += [time for time in result.contact_periods[number].tolist() if np.isfinite(time)]
+    return {
+        "contact_fraction_max": most,
+        "contact_period": [min(times), max(times)] if times else None,
+        "contact_time": {"min": float(landed.min()), "max": float(landed.max())} if len(landed) else None,
+    }
+
+
+def _share_of(energy: float, sources: list[bool], number: int) -> float | None:
+    """An energy [J] of a tool, where the total is of one tool at most; None where it may be of several."""
+    if not sources[number]:
+        return 0.0
+    return energy if sum(sources) == 1 else None
+
+
+def measure_tool_penetration(result: Result, scene: Scene, number: int) -> Penetration:
+    """Penetration of the part into one of `Scene.tools`, at its final position."""
+    tool, grid, positions = scene.tools[number], scene.tables.tool_grids[number], np.asarray(result.positions, float)
+    if result.tool_wall is None or not np.isfinite(positions).all():
+        return Penetration(0.0, 0.0, np.zeros(3))
+    motion, first = tool.motion, int(scene.mold is not None)
+    offset = np.zeros(3) if motion is None else np.asarray(motion.offset(as_real(float(result.time))), float)
+    wall = np.where(np.asarray(result.tool) == first + number, np.asarray(result.tool_wall), 0)
+    found = penetration(
+        positions - offset, np.asarray(result.triangles)[np.asarray(result.used)], wall, tool, grid=grid
+    )
+    return found._replace(place=found.place + offset, ribs=found.ribs._replace(place=found.ribs.place + offset))

@@ -1,0 +1,130 @@
+"""Figures of each tool in the summary, against closed values."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import molds, shapes
+from jaxform.core.pytree import as_real
+from jaxform.results.summary import summarize, summarize_at_once
+from jaxform.results.tool_contact import summarize_tools
+
+_SHEET, _GAP, _WAY, _END = 0.01, 0.1, 0.5, 10.0
+
+
+def _motion(way: float) -> jaxform.Motion:
+    return jaxform.make_motion([0, 0, 1], [0.0, _END], [0.0, way])
+
+
+def _tool(shape: molds.MoldShape, name: str, law: Any = None, way: float = 0.0, low: float = 0.0) -> jaxform.Mold:
+    lowered = np.asarray(shape.vertices) - [0.0, 0.0, low]
+    motion = _motion(way) if way else None
+    return jaxform.make_mold(lowered, shape.triangles, contact=law, motion=motion, name=name)
+
+
+def _scene(*tools: jaxform.Mold, elements: int = 150) -> jaxform.Scene:
+    """A clamped disc of radius 1 that tools push."""
+    sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, _SHEET, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
+        solver=jaxform.make_solver(end_time=_END, damping=2.0),
+        tools=tools,
+        fill=False,
+    )
+
+
+def test_a_flat_plug_to_which_the_sheet_sticks() -> None:
+    """What the plug lifts it does not stretch, from the moment at which it comes to the sheet."""
+    plug = _tool(molds.revolved(profile=[[0.0, 0.0], [0.45, 0.0], [0.45, -1.5]], segments=96), "plug", None, _WAY, _GAP)
+    far = _tool(molds.plate(radius=0.5), "far", None, 0.0, 3.0)
+    scene = _scene(plug, far)
+    result = jaxform.run(scene)
+    pushed, rests = summarize(result, scene)["tools"]
+    assert (pushed["name"], rests["name"]) == ("plug", "far")
+    met = _END * next(root.real for root in np.roots([-2.0, 3.0, 0.0, -_GAP / _WAY]) if 0.0 < root.real < 1.0)
+    assert pushed["contact_time"]["min"] == pytest.approx(pushed["contact_time"]["max"]) == pytest.approx(met, rel=5e-3)
+    assert pushed["contact_period"] == [pushed["contact_time"]["min"], float(result.time)]
+    np.testing.assert_allclose([pushed["thickness"][key] for key in ("min", "mean", "max")], _SHEET, rtol=1e-9)
+    assert pushed["thickness"]["cv"] < 1e-9
+    # The elements under it keep their area.
+    places = np.asarray(scene.parison.positions)[np.asarray(result.triangles)]
+    under = (np.linalg.norm(places, axis=2) < 0.45).all(1)
+    area = np.asarray(result.element_volume) / np.asarray(result.element_thickness)
+    share = np.asarray(scene.tables.sheet.area)[under].sum() / area.sum()
+    assert 0.05 < share == pytest.approx(pushed["contact_fraction"], rel=1e-9)
+    assert pushed["contact_fraction_max"] == pushed["contact_fraction"]
+    assert pushed["work"] == float(result.energy.tool_work) > 0.0 == pushed["friction_loss"]
+    empty = ("contact_period", "contact_time", "thickness", "penetration_place")
+    assert [rests[key] for key in empty] == [None] * 4
+    assert [rests[key] for key in ("contact_fraction", "work", "friction_loss", "penetration_max")] == [0.0] * 4
+
+
+def _depth_in_ball(corners: np.ndarray, center: np.ndarray, radius: float) -> float:
+    """How deep triangles (n, 3, 3) cut a ball, by points all over them."""
+    count = 24
+    i, j = np.mgrid[: count + 1, : count + 1]
+    kept = i + j <= count
+    shares = np.stack([count - i - j, i, j], axis=-1)[kept] / count
+    away = np.linalg.norm(np.einsum("pk,nkc->npc", shares, corners) - center, axis=2)
+    return radius - float(away.min())
+
+
+@pytest.mark.parametrize("radius", [0.3, 0.6])
+def test_elements_cut_a_round_plug_as_deep_as_chords_of_its_ball(radius: float) -> None:
+    plug = _tool(molds.rod(radius=radius, length=2.0, segments=192), "plug", None, _WAY)
+    scene = _scene(plug)
+    result = jaxform.run(scene)
+    summary = summarize(result, scene)
+    corners = np.asarray(result.positions)[np.asarray(result.triangles)]
+    (found,) = summary["tools"]
+    center = np.array([0.0, 0.0, _WAY - radius])
+    depth = _depth_in_ball(corners, center, radius)
+    assert found["penetration_max"] == pytest.approx(depth, rel=0.05) and depth > 2e-3
+    assert radius - np.linalg.norm(found["penetration_place"] - center) == pytest.approx(depth, rel=0.05)
+    assert any("cuts an edge of tool plug" in sentence for sentence in summary["warnings"]) == (
+        depth > float(np.asarray(result.element_thickness).max())
+    )
+    # Before it is measured nothing is said of it.
+    (early,) = summarize_at_once(result, scene)["tools"]
+    assert early == found | {"penetration_max": None, "penetration_place": None}
+
+
+def test_energies_of_tools_that_several_may_have_are_not_told() -> None:
+    shape = molds.plate(radius=0.5)
+    laws = [jaxform.Coulomb(as_real(0.3)), jaxform.Slide(), None]
+    tools = [_tool(shape, f"t{k}", law, way=0.1 * (k > 0), low=3.0 + k) for k, law in enumerate(laws)]
+    scene = _scene(*tools)
+    made: Any = SimpleNamespace(
+        triangles=np.array([[0, 1, 2], [3, 4, 5]]),
+        used=np.ones(2, bool),
+        stuck=np.zeros(6, bool),
+        tool=np.array([0, 0, 0, -1, -1, 1]),
+        contact_time=np.array([1.0, 2.0, 3.0, -1.0, -1.0, 4.0]),
+        element_volume=np.array([1.0, 3.0]),
+        element_thickness=np.array([0.5, 0.5]),
+        time=9.0,
+        energy=SimpleNamespace(tool_work=7.0, friction_loss=5.0),
+        contacts=np.array([[0.0, 0.5, 6.0, 8.0], [0.0, 0.75, 0.2, 0.2], [0.0] * 4, [0.0, 0.0, 0.1, 0.0]]),
+        contact_periods=np.array([[0.5, 8.0], [np.nan, np.nan], [5.5, 6.5]]),
+    )
+    first, second, third = summarize_tools(made, scene)
+    assert [tool["work"] for tool in (first, second, third)] == [0.0, None, None]
+    assert [tool["friction_loss"] for tool in (first, second, third)] == [5.0, 0.0, 0.0]
+    assert first["contact_fraction"] == 0.25 and first["contact_fraction_max"] == 0.75
+    assert first["contact_period"] == [0.5, 9.0] and first["contact_time"] == {"min": 1.0, "max": 3.0}
+    # A single node in contact: no element is, but it touches since then.
+    assert second["contact_period"] == [4.0, 9.0] and second["thickness"] is None
+    # It was left before the end.
+    assert third["contact_period"] == [5.5, 6.5] and third["contact_time"] is None
+    one = summarize_tools(
+        made, dataclasses.replace(scene, tools=(*scene.tools[:2], dataclasses.replace(tools[2], motion=None)))
+    )
+    assert [tool["work"] for tool in one] == [0.0, 7.0, 0.0]
