@@ -6,16 +6,28 @@ Every loop uses this step. Inside a window all shapes are fixed and the continuo
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from jaxform.contact.facet_slip import KnownFacets, find_facets, slide_within_facets
 from jaxform.contact.lists import Candidates
-from jaxform.contact.sliding import LyingNodes, lying_nodes, slide_nodes
+from jaxform.contact.sliding import ContactLosses, LyingNodes, lying_nodes, slide_nodes
 from jaxform.dynamics.contact_step import check_free_flight, replay_contact, search_contact, update_broad_phase
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
-from jaxform.kernels.blocks import materialize, over_blocks, total
+from jaxform.kernels.blocks import (
+    entry,
+    lax_cond_once,
+    list_marked,
+    materialize,
+    on_cpu,
+    over_blocks,
+    put,
+    slice_at,
+    total,
+)
 from jaxform.mechanics import membrane
 from jaxform.mechanics.constitutive import ViscousMemory, present_memory
 from jaxform.mechanics.corners import (
@@ -26,7 +38,7 @@ from jaxform.mechanics.corners import (
     update_history,
     viscous_corner_forces,
 )
-from jaxform.mechanics.elements import Corners, gather_shares, gather_table
+from jaxform.mechanics.elements import Corners, GatherTable, gather_shares, gather_table
 from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
 from jaxform.model.field import Surroundings, advance_fields
@@ -83,7 +95,7 @@ def step(
     moved = dataclasses.replace(
         moving,
         nodes=dataclasses.replace(
-            moving.nodes, positions=taken.positions, velocities=taken.velocities, **_contact_change(moving, taken)
+            moving.nodes, positions=taken.positions, velocities=taken.velocities, **_contact_change(taken)
         ),
         account=dataclasses.replace(
             account,
@@ -99,11 +111,12 @@ def step(
         memory=_update_memory(moving, taken.remembered),
         count=moving.count + jnp.where(moving.halted, 0, 1),
         room=taken.room,
+        facets=None if taken.slid is None else taken.slid.facets,
     )
     if isinstance(contact, KnownContact):
         moved = replay_contact(moved, length, scene, contact, now, frames)
     elif contact is not None:
-        over = None if taken.slid is None else taken.slid[2]
+        over = None if taken.slid is None else taken.slid.over
         moved = search_contact(moved, length, contact, scene, now, frames, over)
     elif moving.room is None:
         moved = dataclasses.replace(moved, halted=check_free_flight(moved, scene, now))
@@ -111,12 +124,11 @@ def step(
     return _advance_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
 
 
-def _contact_change(moving: WindowState, taken: _AdvancedNodes) -> dict[str, jax.Array]:
+def _contact_change(taken: _AdvancedNodes) -> dict[str, jax.Array]:
     """The nodes' contact after the step, where nodes may slide."""
     if taken.slid is None:
         return {}
-    wall, left, _ = taken.slid
-    return {"wall": wall, "contact_time": jnp.where(left, -1.0, moving.nodes.contact_time)}
+    return {"wall": taken.slid.wall, "contact_time": taken.slid.contact_time}
 
 
 def _add_rim_volume(moved: WindowState, halted: jax.Array, before: jax.Array | None, now: WindowData) -> WindowState:
@@ -185,12 +197,23 @@ def _advance_fields(
     return dataclasses.replace(moved, fields=kept)
 
 
+class _SlidContact(NamedTuple):
+    """Contact of nodes (n,) after a step in which they may have slid: `wall` and `contact_time` as in `Nodes`.
+
+    Also whether they left a tool over its edge, and the facets that they lie on; None where these are not kept.
+    """
+
+    wall: jax.Array
+    contact_time: jax.Array
+    over: jax.Array
+    facets: KnownFacets | None = None
+
+
 class _AdvancedNodes(NamedTuple):
     """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
 
     And what elements remember, None where they have no viscous modes; the work of tools that move, and losses by
-    friction and impact [J]. Where nodes may slide: what they touch (n,), whether they left a tool, and whether over its
-    edge.
+    friction and impact [J]; the contact of nodes that slid, where nodes may.
     """
 
     positions: jax.Array | membrane.Vector
@@ -202,7 +225,7 @@ class _AdvancedNodes(NamedTuple):
     work: jax.Array | float = 0.0
     friction: jax.Array | float = 0.0
     impact: jax.Array | float = 0.0
-    slid: tuple[jax.Array, jax.Array, jax.Array] | None = None
+    slid: _SlidContact | None = None
 
 
 def _advance_nodes(
@@ -248,7 +271,7 @@ def _advance_nodes(
         work=work + total(lost.work),
         friction=total(lost.friction),
         impact=total(lost.impact),
-        slid=(slid.wall, slid.left, slid.over),
+        slid=_SlidContact(slid.wall, jnp.where(slid.left, -1.0, own.contact_time), slid.over),
     )
 
 
@@ -273,90 +296,159 @@ def _advance_nodes_in_blocks(
     own = moving.nodes
     moves, slides = any(frame is not None for frame in frames), scene.slides
 
-    def work(old: Any, table: Any, nodes: Any, wall: Any, tool: Any) -> Any:
+    surfaces, damping = scene.surfaces, scene.solver.damping
+
+    def work(old: Any, table: Any, nodes: Any, wall: Any, tool: Any, facets: Any) -> Any:
         (x,), (y,), (z,), before = old
         nodal, sums = add_gravity(gather_shares(corners, table), nodes[1], scene.solver.gravity), []
-        velocities, losses = update_velocity(nodal, before, nodes, kick, scene.solver.damping)
+        velocities, losses = update_velocity(nodal, before, nodes, kick, damping)
         if moves:
             carrier = tool_velocity(frames, tool)
             velocities, held, done = apply_tool_velocity(nodal, (before, velocities), nodes, wall, kick, carrier)
             sums, losses = [done], None if losses is None else jnp.where(held, 0.0, losses)
         new = vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True))
-        if slides:
-            # These are left for `_slide_in_blocks`.
-            lies = lying_nodes(nodes[0], wall)
-            new = vector(jnp.where(lies, old, x) for old, x in zip((x, y, z), new, strict=True))
-            velocities = vector(jnp.where(lies, old, v) for old, v in zip(before, velocities, strict=True))
-            losses = None if losses is None else jnp.where(lies, 0.0, losses)
-        new = materialize(new)
-        return [*([x] for x in new), velocities], sums if losses is None else [losses, *sums]
+        if not slides:
+            new = materialize(new)
+            return [*([x] for x in new), velocities], sums if losses is None else [losses, *sums]
+        there = dataclasses.replace(own, positions=(x, y, z), velocities=before, wall=wall, tool=tool)
+        lies = lying_nodes(nodes[0], wall)
+        lying = LyingNodes.of(there, materialize(velocities), nodal, nodes[1:], lies)
+        slid = slide_within_facets(lying, facets, (kick, length), surfaces, frames, damping)
+        # Those that leave their triangle are left for `_walk_nodes`.
+        new = _choose(slid.stays, slid.positions, _choose(lies, (x, y, z), new))
+        velocities = _choose(slid.stays, slid.velocities, _choose(lies, before, velocities))
+        lost = slid.losses
+        sums = [jnp.where(slid.stays, lost.work, jnp.where(lies, 0.0, each)) for each in sums]
+        sums += [jnp.where(slid.stays, each, 0.0) for each in (lost.friction, lost.impact)]
+        losses = None if losses is None else jnp.where(slid.stays, lost.damping, jnp.where(lies, 0.0, losses))
+        walks = lies & ~slid.stays
+        rows = [*([x] for x in materialize(new)), velocities, [walks]]
+        return rows, [*([] if losses is None else [losses]), *sums, walks]
 
     inputs = (
         gather_table(elements),
         nodes,
         own.wall if moves or slides else None,
-        own.tool if moves else None,
+        own.tool if moves or slides else None,
+        moving.facets,
     )
     into = [*(x[None] for x in own.positions), own.velocities]
-    damped = scene.solver.damping is not None
+    if slides:
+        into.append(jnp.zeros_like(own.stuck)[None])
+    damped = damping is not None
     # Positions and velocities are each read by what is written there alone, so that neither need be copied.
-    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=damped + moves, update=4, kept=False)
-    taken = _AdvancedNodes(
-        vector(row for (row,) in new[:3]),
-        new[3],
-        volume,
-        sums[0] if damped else 0.0,
-        corners,
-        rest,
-        sums[-1] if moves else 0.0,
+    new, sums = over_blocks(
+        work, elements.node_block_count, inputs, into, sums=damped + moves + 3 * slides, update=4, kept=slides
     )
-    return _slide_in_blocks(taken, moving, kick, length, scene, now, frames) if slides else taken
+    loss, *sums = sums if damped else (0.0, *sums)
+    taken = _AdvancedNodes(
+        vector(row for (row,) in new[:3]), new[3], volume, loss, corners, rest, sums[0] if moves else 0.0
+    )
+    if not slides:
+        return taken
+    friction, impact, walking = sums[-3:]
+    taken = taken._replace(friction=friction, impact=impact)
+    return _walk_nodes(taken, moving, new[4][0], walking > 0.0, (kick, length), scene, now, frames)
 
 
-def _slide_in_blocks(
+def _choose(chosen: jax.Array, new: membrane.Vector, old: membrane.Vector) -> membrane.Vector:
+    """The new vectors of the chosen nodes (n,), and the old ones of the others."""
+    return vector(jnp.where(chosen, one, other) for one, other in zip(new, old, strict=True))
+
+
+_LANES = 16  # nodes that are walked together
+
+
+class _Walking(NamedTuple):
+    """What a walk changes of the nodes (n,) that it takes: all they are, and the losses of all so far [J]."""
+
+    positions: membrane.Vector
+    velocities: jax.Array
+    slid: _SlidContact
+    losses: ContactLosses
+
+
+def _walk_nodes(
     taken: _AdvancedNodes,
     moving: WindowState,
-    kick: jax.Array,
-    length: jax.Array,
+    walks: jax.Array,
+    any_walks: jax.Array,
+    steps: tuple[jax.Array, jax.Array],
     scene: Scene,
     now: WindowData,
     frames: tuple[ToolFrame | None, ...],
 ) -> _AdvancedNodes:
-    """Advances the nodes that lie on tools, which the pass over all nodes left where they were; not differentiable."""
-    corners, own, damping = taken.room, moving.nodes, scene.solver.damping
-    assert corners is not None
-    elements = now.active.packed.elements
+    """Advances the nodes (n,) that leave their triangles, which were left where they were; not differentiable."""
+    own, damping, corners = moving.nodes, scene.solver.damping, taken.room
+    assert corners is not None and moving.facets is not None
+    slots = now.active.packed.elements.slots
 
-    def slide(old: Any, table: Any, lies: Any, nodes: Any) -> Any:
-        (x,), (y,), (z,), before, (wall,), (left,), (over,) = old
-        stuck, mass, compliance, tool = nodes
+    def walk(node: jax.Array, before: _Walking, lies: jax.Array) -> _Walking:
+        """The nodes with these numbers (n,), which were like this before."""
+        stuck, mass, compliance, tool = jax.tree.map(
+            lambda values: membrane.gather(values, node), (own.stuck, now.active.mass, now.active.compliance, own.tool)
+        )
+        table = GatherTable(membrane.gather(slots, node), jnp.int32(len(slots)))
         nodal = add_gravity(gather_shares(corners, table), mass, scene.solver.gravity)
-        free, _ = update_velocity(nodal, before, (stuck, mass, compliance), kick, damping)
-        there = dataclasses.replace(own, positions=(x, y, z), velocities=before, wall=wall.astype(jnp.int32), tool=tool)
+        old = vector(before.velocities)
+        free, _ = update_velocity(nodal, old, (stuck, mass, compliance), steps[0], damping)
+        there = dataclasses.replace(own, positions=before.positions, velocities=old, wall=before.slid.wall, tool=tool)
         lying = LyingNodes.of(there, free, nodal, (mass, compliance), lies)
-        slid = slide_nodes(lying, (kick, length), scene.surfaces, frames, damping, differentiable=False)
-        places = [[jnp.where(lies, new, x)] for new, x in zip(slid.positions, (x, y, z), strict=True)]
-        speeds = [jnp.where(lies, new, v) for new, v in zip(slid.velocities, before, strict=True)]
-        rows = [*places, speeds, [jnp.where(lies, slid.wall, wall)]]
-        rows += [[jnp.where(lies, slid.left, left)], [jnp.where(lies, slid.over, over)]]
-        return rows, [jnp.where(lies, x, 0.0) for x in slid.losses]
+        slid = materialize(slide_nodes(lying, steps, scene.surfaces, frames, damping, differentiable=False))
+        time = jnp.where(slid.left, -1.0, before.slid.contact_time)
+        contact = _SlidContact(slid.wall, time, slid.over, find_facets(slid.wall, tool, scene.surfaces))
+        losses = jax.tree.map(lambda lost: jnp.sum(jnp.where(lies, lost, 0.0)), slid.losses)
+        total = jax.tree.map(jnp.add, before.losses, losses)
+        return _Walking(slid.positions, jnp.stack(slid.velocities), contact, total)
 
-    def work(old: Any, table: Any, stuck: Any, wall: Any, nodes: Any) -> Any:
-        lies = lying_nodes(stuck, wall)
-        none = [jnp.zeros_like(nodes[0])] * 4
-        state = materialize((old, table, lies, (stuck, *nodes)))
-        return jax.lax.cond(jnp.any(lies), slide, lambda old, *_: (old, none), *state)
-
-    inputs = gather_table(elements), own.stuck, own.wall, (now.active.mass, now.active.compliance, own.tool)
-    none = jnp.zeros_like(own.stuck)[None]
-    into = [*(x[None] for x in taken.positions), taken.velocities, own.wall[None], none, none]
-    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=4, update=7)
-    return taken._replace(
-        positions=vector(row for (row,) in new[:3]),
-        velocities=new[3],
-        work=taken.work + sums[0],
-        friction=sums[1],
-        impact=sums[2],
-        loss=taken.loss + sums[3],
-        slid=(new[4][0], new[5][0], new[6][0]),
+    none = jnp.zeros((), own.velocities.dtype)
+    begun = _Walking(
+        vector(taken.positions),
+        taken.velocities,
+        _SlidContact(own.wall, own.contact_time, jnp.zeros_like(walks), moving.facets),
+        ContactLosses(none, none, none, none),
     )
+
+    def walk_all(begun: _Walking) -> _Walking:
+        if on_cpu():
+            return _in_groups(walk, begun, walks, now.active.packed.elements.node_block_count)
+        new = walk(jnp.arange(walks.size), begun, walks)
+        return jax.tree.map(lambda one, other: jnp.where(walks, one, other) if one.ndim else one, new, begun)
+
+    end = lax_cond_once(any_walks, walk_all, materialize(begun))
+    return taken._replace(
+        positions=end.positions,
+        velocities=end.velocities,
+        slid=end.slid,
+        work=taken.work + end.losses.work,
+        friction=taken.friction + end.losses.friction,
+        impact=taken.impact + end.losses.impact,
+        loss=taken.loss + end.losses.damping,
+    )
+
+
+def _in_groups(
+    walk: Callable[[jax.Array, _Walking, jax.Array], _Walking],
+    begun: _Walking,
+    walks: jax.Array,
+    block_count: jax.Array,
+) -> _Walking:
+    """All nodes after those that walk (n,) were walked, a few at a time."""
+    listed, count = list_marked(walks, block_count)
+
+    def take(group: jax.Array, now: _Walking) -> _Walking:
+        node = slice_at(listed, group * _LANES, _LANES)
+        left = jnp.minimum(count - group * _LANES, _LANES)
+        before = jax.tree.map(lambda x: membrane.gather(x, node) if x.ndim else x, now)
+        # All is read before anything is written (docs/explanation/kernels.md).
+        before, now = materialize((before, now))
+        new = materialize(walk(node, before, jnp.arange(_LANES) < left))
+
+        def write(lane: jax.Array, now: _Walking) -> _Walking:
+            return jax.tree.map(
+                lambda old, x: put(old, slice_at(x, lane, 1), entry(node, lane)) if x.ndim else x, now, new
+            )
+
+        return jax.lax.fori_loop(0, left, write, now)
+
+    return jax.lax.fori_loop(0, -(-count // _LANES), take, begun)

@@ -27,7 +27,7 @@ from jaxform.model.tables import MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet, Workspace
 from jaxform.sheet.discretization import element_law
 from jaxform.sheet.energy_balance import present_pressure
-from jaxform.sheet.state import PackedState, can_move, noise_vector
+from jaxform.sheet.state import PackedState, can_move, immobile_nodes, noise_vector
 
 RUNGS_PER_OCTAVE = 16
 _FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
@@ -154,11 +154,12 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
 def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:
     """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
     rows, elements = membrane.unstack_rows(state.nodes.positions), active.packed.elements
+    immobile = immobile_nodes(state, scene)
 
     def work(own: tuple[jax.Array, ...], bound: jax.Array, zones: Any, memory: Any, modes: Any) -> Any:
         triangles, inverse, area = own
         # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
-        moving = can_move(state.nodes.stuck, triangles, area) if scene.rests else area > 0.0
+        moving = can_move(immobile, triangles, area) if scene.rests else area > 0.0
         material = element_law(scene.material, zones, modes)
         return [], [stiffness.element_stiffness(rows, triangles, inverse, bound, moving, material, memory)]
 

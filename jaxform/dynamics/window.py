@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxform.contact import sticking
 from jaxform.contact.broad_phase import initial_check
 from jaxform.contact.candidates import list_candidates
+from jaxform.contact.facet_slip import begin_facets
 from jaxform.contact.lists import CandidateLists, Candidates, allocate_lists
 from jaxform.dynamics.contact_step import any_missed, to_tool_frame
 from jaxform.dynamics.step import finalize_history, step
@@ -309,6 +310,7 @@ def _begin_window(
         room=room,
         hits=sticking.no_hits(places, positions.dtype) if searches else None,
         record=jnp.full((scene.tables.window_room, places), -1, jnp.int32) if recorded else None,
+        facets=begin_facets(state.nodes, scene.surfaces) if scene.slides and searches else None,
     )
 
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from jaxform.adapt.remeshing import initial_mesh
 from jaxform.contact.broad_phase import BroadPhaseCheck
+from jaxform.contact.facet_slip import KnownFacets
 from jaxform.contact.sticking import FirstHits
 from jaxform.core.pytree import as_real, pytree
 from jaxform.loads import first_pressure
@@ -44,7 +45,7 @@ class WindowState:
     not kept.
     Whether another list of candidates is due, the last check of each surface, and the workspace for hits are None where
     contact is not searched for; the room for corner forces is None where derivatives are taken. The record is that of
-    `sticking.Landing`.
+    `sticking.Landing`. The facets that nodes lie on are kept where they may slide and no derivative is taken.
     """
 
     nodes: Nodes
@@ -60,6 +61,7 @@ class WindowState:
     room: Corners | None
     hits: FirstHits | None
     record: jax.Array | None = None
+    facets: KnownFacets | None = None
 
     @property
     def last_checks(self) -> tuple[BroadPhaseCheck, ...]:

@@ -253,6 +253,25 @@ def compact_indices(keep: jax.Array, capacity: int, count: jax.Array | None = No
     return places[:capacity], found
 
 
+def list_marked(marked: jax.Array, block_count: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Indices (n,) of the few marked entries (n,) of the blocks in use, then any others; and the number marked."""
+    index = jnp.arange(BLOCK, dtype=jnp.int32)
+
+    def add_block(i: jax.Array, found: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        own = slice_at(marked, i * BLOCK, BLOCK)
+
+        def following(k: jax.Array) -> jax.Array:
+            return jnp.min(jnp.where(own & (index > k), index, BLOCK))
+
+        def add(carry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+            k, places, count = carry
+            return following(k), put(places, (i * BLOCK + k).astype(jnp.int32)[None], count), count + 1
+
+        return jax.lax.while_loop(lambda carry: carry[0] < BLOCK, add, (following(jnp.int32(-1)), *found))[1:]
+
+    return jax.lax.fori_loop(0, block_count, add_block, (jnp.zeros(marked.size, jnp.int32), jnp.int32(0)))
+
+
 def running_count(keep: jax.Array, count: jax.Array | None = None) -> jax.Array:
     """Running count (n,) of the marked entries, each included; arbitrary beyond the first `count`."""
     if not on_cpu():

@@ -240,13 +240,13 @@ class Scene:
     @property
     def packs_moving(self) -> bool:
         """True where windows step only the nodes and elements that can still move."""
-        return bool(self.surfaces) and self.solver.skip_stuck and self.rests
+        sticks = any(surface.mold.contact.sticks for surface in self.surfaces)
+        return sticks and self.solver.skip_stuck and self.rests
 
     @property
     def rests(self) -> bool:
-        """True if nodes in contact no longer change, so that a run can end when all nodes are in contact."""
-        steady = all(each.mold.motion is None and each.mold.contact.sticks for each in self.surfaces)
-        return steady and all(field.rests for field in self.fields.values())
+        """True if nothing changes any more at nodes that stick to tools at rest: no field of the scene does."""
+        return all(field.rests for field in self.fields.values())
 
     @property
     def motion(self) -> Motion | None:

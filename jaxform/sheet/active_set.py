@@ -26,7 +26,7 @@ from jaxform.sheet.discretization import Discretization, RefinedMesh, element_la
 from jaxform.sheet.energy_balance import ElementTotals, element_energy, enclosed_volume
 from jaxform.sheet.heat import ThermalState
 from jaxform.sheet.packing import Packed, pack
-from jaxform.sheet.state import PackedState, State, can_move
+from jaxform.sheet.state import PackedState, State, can_move, immobile_nodes
 
 # Stress relaxation in inactive elements: viscous modes of elements whose nodes all stick.
 
@@ -212,18 +212,18 @@ class ActiveSet:
         return element_law(material, self.zones, self.modes)
 
 
-def pack_moving(stuck: jax.Array, mesh: RefinedMesh | None, scene: Scene, discrete: Discretization) -> Packed:
-    """The elements and nodes of a window that begins with such nodes (n_node,) stuck."""
+def pack_moving(immobile: jax.Array, mesh: RefinedMesh | None, scene: Scene, discrete: Discretization) -> Packed:
+    """The elements and nodes of a window that begins with such nodes (n_node,) immobile."""
     if not scene.packs_moving:
         return discrete.whole
     sheet = discrete.sheet
     counts = scene.tables.counts if mesh is None else Counts(mesh.element_count, mesh.node_count)
-    return pack(can_move(stuck, sheet.triangles, sheet.area), sheet, discrete.assembly, counts)
+    return pack(can_move(immobile, sheet.triangles, sheet.area), sheet, discrete.assembly, counts)
 
 
 def active_set_of(state: State, scene: Scene, discrete: Discretization, *, differentiable: bool = False) -> ActiveSet:
     """The active set of a window that begins with a state in the mesh's order."""
-    packed = pack_moving(state.nodes.stuck, state.mesh, scene, discrete)
+    packed = pack_moving(immobile_nodes(state, scene), state.mesh, scene, discrete)
     now = discrete.with_zones(state.heat, scene.material)
     return _add_cooling(_make_active_set(packed, state, scene, now, differentiable=differentiable), state, discrete)
 
@@ -241,10 +241,10 @@ def repack(
     """The state, and what the next window works through: packed anew only where that is stale, or a block too long."""
     if not scene.packs_moving and state.mesh is None:
         return state, active
-    elements = active.packed.elements
+    elements, immobile = active.packed.elements, immobile_nodes(state, scene)
 
     def work(triangles: jax.Array, area: jax.Array) -> Any:
-        moving = can_move(state.nodes.stuck, triangles, area)
+        moving = can_move(immobile, triangles, area)
         if elements.orientation is not None:
             # Both elements of a pair stay where either can move.
             either = jnp.logical_or(*split_halves(moving))

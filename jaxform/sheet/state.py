@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, NewType, Self
 import jax
 import jax.numpy as jnp
 
+from jaxform.contact.sliding import on_surface
 from jaxform.core.pytree import as_real, marked_field_names, pytree
 from jaxform.loads import LoadState
 from jaxform.mechanics import membrane
@@ -280,12 +281,27 @@ def is_at_rest(state: State, scene: Scene) -> jax.Array:
     """True where no node can move any more, so that a run ends before its time."""
     if not (scene.solver.end_early and scene.rests):
         return jnp.asarray(False)
-    return jnp.all(state.nodes.stuck)
+    return jnp.all(immobile_nodes(state, scene))
 
 
-def can_move(stuck: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Array:
-    """Elements (n_element,) in use of which a node can still move; stuck (n_node,), triangles (3, n_element)."""
-    first, second, third = (membrane.gather(stuck, corner) for corner in triangles)
+def immobile_nodes(state: State, scene: Scene) -> jax.Array:
+    """Nodes (n_node,) that never move again: they are clamped, or stick to a tool that rests from now on.
+
+    A node has come to rest with its tool once its velocity is 0, at the earliest in the step after the tool's last.
+    """
+    nodes = state.nodes
+    immobile = nodes.stuck
+    for number, surface in enumerate(scene.surfaces):
+        motion = surface.mold.motion
+        if motion is not None:
+            carried = (nodes.wall != 0) & ((state.time < motion.last_time) | jnp.any(nodes.velocities != 0.0, axis=0))
+            immobile = immobile & ~(carried & on_surface(nodes.tool, number))
+    return immobile
+
+
+def can_move(immobile: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Array:
+    """Elements (n_element,) in use of which a node can still move; immobile (n_node,), triangles (3, n_element)."""
+    first, second, third = (membrane.gather(immobile, corner) for corner in triangles)
     return ~(first & second & third) & (area > 0.0)
 
 

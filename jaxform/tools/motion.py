@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -66,6 +67,11 @@ class Motion:
         here = jnp.sum(jnp.where((begins <= now) & (now < ends), bound, 0.0))
         return here, jnp.min(jnp.where((begins > now) & (bound > here), begins, jnp.inf))
 
+    @property
+    def last_time(self) -> jax.Array:
+        """The time [s] from which on it rests for good: that of the last knot before which it moves."""
+        return jnp.max(jnp.where(jnp.diff(self.displacement) != 0.0, self.time[1:], self.time[0]))
+
     def frame(self, begin: jax.Array, end: jax.Array) -> ToolFrame:
         """The tool's frame in a step from one time to another [s]."""
         before, after = self.offset(begin), self.offset(end)
@@ -96,14 +102,22 @@ def tool_velocity(frames: tuple[ToolFrame | None, ...], tool: jax.Array | None) 
 
     None where no tool moves.
     """
-    if all(frame is None for frame in frames):
-        return None
-    if tool is None:
-        return frames[0].velocity if frames[0] is not None else None
-    found = [jnp.zeros(tool.shape, frame.velocity.dtype) for frame in frames if frame is not None][:1] * 3
-    for number, frame in enumerate(frames):
-        if frame is not None:
-            found = [jnp.where(tool == number, frame.velocity[k], old) for k, old in enumerate(found)]
+    return _select_by_tool([None if frame is None else frame.velocity for frame in frames], tool)
+
+
+def tool_offset(frames: tuple[ToolFrame | None, ...], tool: jax.Array | None) -> Any:
+    """Displacement at the step's end [m] of the tool that each node touches, as `tool_velocity` gives velocities."""
+    return _select_by_tool([None if frame is None else frame.offset for frame in frames], tool)
+
+
+def _select_by_tool(values: Sequence[jax.Array | None], tool: jax.Array | None) -> Any:
+    """The value (3,) of the tool that each node touches, 0 where there is none; None where no tool has one."""
+    if tool is None or all(value is None for value in values):
+        return next((value for value in values if value is not None), None)
+    found = [jnp.zeros(tool.shape, value.dtype) for value in values if value is not None][:1] * 3
+    for number, value in enumerate(values):
+        if value is not None:
+            found = [jnp.where(tool == number, value[k], old) for k, old in enumerate(found)]
     return found
 
 

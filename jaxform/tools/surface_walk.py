@@ -44,7 +44,7 @@ def connected_parts(neighbors: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 _MOST_SIDES = 8  # that a node crosses in a step, at most
-_OUT = 1e-12  # of a triangle's height: a node that is no further out is inside
+OUT = 1e-12  # of a triangle's height: a node that is no further out is inside
 _STEEP = 1e-9  # sine: faces that are turned less are one plane
 _LEAST = 1e-12  # of a normal's square that symmetry planes leave
 
@@ -234,7 +234,7 @@ def _first_side(position: Vector, way: Vector, here: Facets) -> tuple[jax.Array,
     shares, rates = (1.0 - gamma - delta, gamma, delta), (-gamma_rate - delta_rate, gamma_rate, delta_rate)
 
     def reach(share: jax.Array, rate: jax.Array) -> jax.Array:
-        goes_out = (share + rate < -_OUT) & (rate < 0.0)
+        goes_out = (share + rate < -OUT) & (rate < 0.0)
         return jnp.where(goes_out, jnp.maximum(share, 0.0) / jnp.where(goes_out, -rate, 1.0), jnp.inf)
 
     reached = [reach(*each) for each in zip(shares, rates, strict=True)]

@@ -12,7 +12,8 @@ import pytest
 
 import jaxform
 from benchmarks.speed.bench import disable_skips
-from jaxform import shapes
+from jaxform import molds, shapes
+from jaxform.core.pytree import as_real
 from jaxform.dynamics import timestep
 from jaxform.dynamics.window_state import initial_state
 from jaxform.kernels import blocks
@@ -25,7 +26,7 @@ from jaxform.sheet import packing
 from jaxform.sheet.active_set import active_set_of
 from jaxform.sheet.discretization import discretize
 from jaxform.sheet.energy_balance import element_energy
-from jaxform.sheet.state import noise_vector
+from jaxform.sheet.state import is_finished, noise_vector
 from tests import scenes
 
 
@@ -43,6 +44,66 @@ def test_the_result_is_the_same_with_a_skip_off(switch: str) -> None:
     np.testing.assert_allclose(on.thickness, off.thickness, rtol=20 * tolerance)
     np.testing.assert_allclose(on.energy.external_work, off.energy.external_work, rtol=20 * tolerance)
     np.testing.assert_array_equal(on.stuck, off.stuck)
+
+
+def _pushed_and_blown(law: jaxform.ContactLaw) -> jaxform.Scene:
+    """A disc that a plug with this contact law pushes, half draws back and lets rest; then it is blown into a cup."""
+    sheet = shapes.disc(radius=1.0, elements=100, symmetry="quarter")
+    cup = molds.revolved(profile=[[0.0, 0.6], [0.859, 0.6], [1.0, 0.0]], segments=48)
+    plug = molds.revolved(profile=[[0.0, -0.01], [0.3, -0.06], [0.35, -0.61]], segments=32)
+    motion = jaxform.make_motion([0.0, 0.0, 1.0], [0.0, 3.6, 12.0], [0.0, 0.4, 0.2])
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0, 4.0, 12.0], [0.0, 0.0, 0.14]),
+        solver=jaxform.make_solver(end_time=16.0, damping=2.0),
+        mold=jaxform.make_mold(cup.vertices, cup.triangles),
+        tools=[jaxform.make_mold(plug.vertices, plug.triangles, motion=motion, contact=law)],
+        fill=False,
+    )
+
+
+@pytest.mark.parametrize("law", [jaxform.Stick(), jaxform.Coulomb(as_real(0.3))], ids=["sticks", "slides"])
+def test_what_sticks_to_a_tool_at_rest_is_packed_away_while_others_move_or_nodes_slide(law: jaxform.ContactLaw) -> None:
+    scene = disable_skips(_pushed_and_blown(law), sharp_step=False)
+    on, off = jaxform.run(scene), jaxform.run(disable_skips(scene, skip_stuck=False))
+    assert jaxform.explain(on) == jaxform.explain(off) == "ok" and int(on.steps) == int(off.steps)
+    assert np.any(on.tool == 0) and (np.any(on.tool == 1) if law.sticks else float(on.energy.friction_loss) > 0.0)
+    np.testing.assert_allclose(on.positions, off.positions, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(on.thickness, off.thickness, rtol=2e-11)
+    np.testing.assert_array_equal(on.tool, off.tool)
+    for name in ("external_work", "tool_work", "friction_loss", "damping_loss"):
+        np.testing.assert_allclose(getattr(on.energy, name), getattr(off.energy, name), rtol=1e-10, atol=1e-18)
+    state, first, taken = loop.begin(scene)
+    carried = 0
+    while not bool(is_finished(state, scene)):
+        state, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(4))
+        left = np.asarray(active_set_of(state, scene, first).packed.kept)
+        held = np.asarray(state.nodes.stuck)[np.asarray(scene.parison.triangles)].all(1)
+        carried = max(carried, np.sum(held & left))
+    # In the end no element is left whose nodes all stick, but for the second of a pair; before, the plug carried some.
+    assert np.sum(left) < 0.6 * left.size and np.sum(held & left) < 0.1 * left.size
+    assert carried > 3 or not law.sticks
+
+
+def test_a_run_with_a_tool_ends_when_nothing_can_move_any_more() -> None:
+    """Also where the tool carries nodes: not before that has come to rest."""
+    sheet = shapes.disc(radius=1.0, elements=24, symmetry="quarter")
+    plate = np.array([[-2.0, -2.0, 0.0], [2.0, -2.0, 0.0], [2.0, 2.0, 0.0], [-2.0, 2.0, 0.0]])
+    away = jaxform.make_motion([0.0, 0.0, 1.0], [0.0, 5.0], [0.0, 0.2])
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
+        solver=jaxform.make_solver(end_time=20.0),
+        tools=[jaxform.make_mold(plate, np.array([[0, 1, 2], [0, 2, 3]]), motion=away)],
+        fill=False,
+    )
+    result = jaxform.run(scene)
+    assert jaxform.explain(result) == "ok" and 5.0 < float(result.time) < 10.0
+    free = ~np.asarray(sheet.clamped)
+    np.testing.assert_allclose(np.asarray(result.positions)[free, 2], 0.2, rtol=1e-12)
+    assert not np.asarray(result.velocities).any()
 
 
 def test_what_sticks_is_packed_away() -> None:
