@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxform.contact.lists import TEST_BLOCK, Candidates
 from jaxform.kernels.blocks import over_blocks, put, slice_at
 from jaxform.mechanics.membrane import dot, gather, minus
+from jaxform.tools.motion import ToolFrame
 
 LOOK_EVERY = 4  # steps
 _AHEAD = 2.0  # times as far as a node goes at its speed until the next check: where it may be before that
@@ -65,6 +66,7 @@ def check_nodes(
     candidates: Candidates,
     last: BroadPhaseCheck,
     node_block_count: jax.Array,
+    frame: ToolFrame | None = None,
 ) -> BroadPhaseCheck:
     """Checks every node in use, up to the next check.
 
@@ -76,10 +78,13 @@ def check_nodes(
         candidates: The list.
         last: Result of the last check.
         node_block_count: Number of node blocks in use.
+        frame: The frame of the tool, where that moves; the list is that of places in it.
     """
 
     def work(stuck: Any, positions: Any, velocities: Any, spheres: Any) -> Any:
         start, clear_square, near_square, center, alarm_square, unwatched_square = spheres
+        if frame is not None:
+            positions, velocities = frame.places(positions), frame.speeds(velocities)
         there, beyond = (
             [x + ahead * till_next * v for x, v in zip(positions, velocities, strict=True)] for ahead in (1.0, _AHEAD)
         )
@@ -127,7 +132,12 @@ def all_blocks(candidates: Candidates) -> DueBlocks:
 
 
 def find_active_pairs(
-    positions: Any, stuck: jax.Array, touches: jax.Array, candidates: Candidates, node_block_count: jax.Array
+    positions: Any,
+    stuck: jax.Array,
+    touches: jax.Array,
+    candidates: Candidates,
+    node_block_count: jax.Array,
+    frame: ToolFrame | None = None,
 ) -> ActivePairs:
     """The blocks with free nodes that moved far enough to touch the mold, and whether one soon leaves its sphere.
 
@@ -137,10 +147,12 @@ def find_active_pairs(
         touches: Nodes (n_node,) that touch this surface already, those that are stuck included.
         candidates: The list.
         node_block_count: Number of node blocks in use.
+        frame: The frame of the tool, as in `check_nodes`.
     """
 
     def work(stuck: Any, touches: Any, positions: Any, spheres: Any) -> Any:
         start, clear_square, center, alarm_square = spheres
+        positions = positions if frame is None else frame.places(positions)
         touching = ~touches & _has_moved(positions, start, clear_square)
         return [[touching]], [touching, ~stuck & _has_moved(positions, center, alarm_square)]
 

@@ -49,9 +49,9 @@ def update_broad_phase(
         till_next = jnp.minimum(LOOK_EVERY, now.max_count - moving.count) * now.length
         count, found = now.active.packed.elements.node_block_count, []
         for number, listed in enumerate(candidates):
-            places = to_tool_frame(moving, scene, now, number)
-            state = jax.lax.stop_gradient((*places, nodes.stuck, till_next, listed))
-            new = check_nodes(*state, last[number], count)
+            frame = _present_frame(moving, scene, now, number)
+            state = jax.lax.stop_gradient((nodes.positions, nodes.velocities, nodes.stuck, till_next, listed))
+            new = check_nodes(*state, last[number], count, frame)
             found.append(new._replace(close=new.close | now.always_check))
         return tuple(found)
 
@@ -67,12 +67,17 @@ def update_broad_phase(
 def to_tool_frame(moving: WindowState, scene: Scene, now: WindowData, number: int) -> tuple[Any, jax.Array]:
     """Positions [m] and velocities [m/s] of now in the frame of a surface, where that moves."""
     positions, velocities = moving.nodes.positions, moving.nodes.velocities
-    motion = scene.surfaces[number].mold.motion
-    if motion is None:
+    frame = _present_frame(moving, scene, now, number)
+    if frame is None:
         return positions, velocities
-    time = now.begin + moving.count * now.length
-    frame = motion.frame(time - now.length, time)
     return frame.places(positions), jnp.stack(frame.speeds(velocities))
+
+
+def _present_frame(moving: WindowState, scene: Scene, now: WindowData, number: int) -> ToolFrame | None:
+    """The frame of a surface in the last step, of which no derivative is taken; None where it rests."""
+    motion = scene.surfaces[number].mold.motion
+    time = now.begin + moving.count * now.length
+    return None if motion is None else jax.lax.stop_gradient(motion.frame(time - now.length, time))
 
 
 def search_contact(
@@ -93,7 +98,8 @@ def search_contact(
         sticking.touches_already(moved.nodes, number, surface, over) for number, surface in enumerate(scene.surfaces)
     ]
     found = [
-        _active_pairs(moved, listed, scene, now, number, known[number]) for number, listed in enumerate(candidates)
+        _active_pairs(moved, listed, scene, now, number, known[number], frames[number])
+        for number, listed in enumerate(candidates)
     ]
     flying, this = _free_flight(moved, length, now, frames)
     due, mass = [pairs.due for pairs in found], _masses(scene, now)
@@ -158,28 +164,34 @@ def any_missed(moving: WindowState, candidates: Sequence[Candidates], scene: Sce
     """True where, at the end of a list, a node may have missed a surface."""
     missed = jnp.asarray(False)
     for number, (listed, seen) in enumerate(zip(candidates, moving.last_checks, strict=True)):
+        frame = _present_frame(moving, scene, now, number)
 
         def work(
-            positions: list[jax.Array], stuck: jax.Array, sphere: tuple[jax.Array, ...], seen: Any = seen
+            positions: Any, stuck: jax.Array, sphere: tuple[jax.Array, ...], seen: Any = seen, frame: Any = frame
         ) -> tuple[list, list]:
-            return [], [may_have_missed(positions, stuck, sphere, seen)]
+            places = positions if frame is None else frame.places(positions)
+            return [], [may_have_missed(places, stuck, sphere, seen)]
 
-        positions, _ = to_tool_frame(moving, scene, now, number)
-        inputs = jax.lax.stop_gradient((positions, moving.nodes.stuck, list_spheres(listed)))
+        inputs = jax.lax.stop_gradient((moving.nodes.positions, moving.nodes.stuck, list_spheres(listed)))
         _, (count,) = over_blocks(work, now.active.packed.elements.node_block_count, inputs, [], sums=1)
         missed = missed | seen.missed | (count > 0)
     return missed
 
 
 def _active_pairs(
-    moved: WindowState, candidates: Candidates, scene: Scene, now: WindowData, number: int, touches: jax.Array
+    moved: WindowState,
+    candidates: Candidates,
+    scene: Scene,
+    now: WindowData,
+    number: int,
+    touches: jax.Array,
+    frame: ToolFrame | None,
 ) -> ActivePairs:
     """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
-    positions, _ = to_tool_frame(moved, scene, now, number)
-    state = jax.lax.stop_gradient((positions, moved.nodes.stuck, touches, candidates))
-    blocks = now.active.packed.elements.node_block_count
+    state = jax.lax.stop_gradient((moved.nodes.positions, moved.nodes.stuck, touches, candidates))
+    blocks, frame = now.active.packed.elements.node_block_count, jax.lax.stop_gradient(frame)
     found = lax_cond_once(
-        moved.last_checks[number].close, lambda _: find_active_pairs(*state, blocks), no_active_pairs(candidates)
+        moved.last_checks[number].close, lambda _: find_active_pairs(*state, blocks, frame), no_active_pairs(candidates)
     )
     return found if scene.solver.skip_far else found._replace(due=all_blocks(candidates))
 

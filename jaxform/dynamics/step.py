@@ -338,7 +338,7 @@ def _advance_nodes_in_blocks(
     damped = damping is not None
     # Positions and velocities are each read by what is written there alone, so that neither need be copied.
     new, sums = over_blocks(
-        work, elements.node_block_count, inputs, into, sums=damped + moves + 3 * slides, update=4, kept=slides
+        work, elements.node_block_count, inputs, into, sums=damped + moves + 3 * slides, update=4, kept=slides or moves
     )
     loss, *sums = sums if damped else (0.0, *sums)
     taken = _AdvancedNodes(
