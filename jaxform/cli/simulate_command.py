@@ -125,10 +125,28 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path, tou
         f"{touched}; energy balance within {100 * summary['energy']['balance_error']:.2g} %"
     )
     say(_thinnest(summary["thinnest"]))
+    for tool in summary["tools"]:
+        if tool["name"] != "mold":
+            say(_contact_words(tool))
     if summary["gap_max"] > summary["thickness"]["mean"]:
         where = format_place(summary["gap_place"])
         say(f"largest gap between part and mold: {1e3 * summary['gap_max']:.3g} mm at {where}")
     say(f"status: {summary['status']}; results in {folder}")
+
+
+def _contact_words(tool: dict[str, Any]) -> str:
+    """The contact of a tool over the run, its work and its friction, in words."""
+    if tool["contact_period"] is None:
+        return f"{tool['name']}: touches nothing"
+    begin, end = tool["contact_period"]
+    words = (
+        f"{tool['name']}: in contact from {begin:.3g} to {end:.3g} s, with {100 * tool['contact_fraction_max']:.3g} % "
+        f"of the area at most and {100 * tool['contact_fraction']:.3g} % at the end"
+    )
+    energies = [
+        f"{name} {tool[key]:.3g} J" for name, key in (("work", "work"), ("friction", "friction_loss")) if tool[key]
+    ]
+    return "; ".join([words, *energies])
 
 
 def _thinnest(found: dict[str, Any]) -> str:

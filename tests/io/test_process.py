@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxform.cli import command, session
+from jaxform.cli import command, session, simulate_command
 from jaxform.core.store import Store
 from jaxform.io import files, process
 from jaxform.io.report import stored_results
@@ -151,6 +151,14 @@ def test_the_report_colours_elements_by_the_tool_that_they_touch(folder: Path) -
     page = (folder / "report.html").read_text()
     row = page[page.index('<th scope="row">plug</th>') :]
     assert f">{plug['work']:.3g}<" in row[: row.index("</tr>")]
+
+
+def test_the_contact_of_a_tool_in_words() -> None:
+    tool = {"name": "plug", "contact_fraction": 0.0, "contact_fraction_max": 0.25, "contact_period": [0.1, 0.3]}
+    tool |= {"work": 0.5, "friction_loss": None}
+    told = "plug: in contact from 0.1 to 0.3 s, with 25 % of the area at most and 0 % at the end; work 0.5 J"
+    assert simulate_command._contact_words(tool) == told
+    assert simulate_command._contact_words(tool | {"contact_period": None}) == "plug: touches nothing"
 
 
 def test_which_tool_an_element_touches() -> None:
