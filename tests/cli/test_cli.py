@@ -20,6 +20,7 @@ import pytest
 from PIL import Image
 
 import jaxform
+import optimize
 from jaxform import molds
 from jaxform.cli import command, session
 from jaxform.io import files
@@ -326,6 +327,29 @@ def test_an_interruption_before_any_design_says_how_to_go_on(
         arguments = ["optimize", str(study), "--out", str(out), "--quiet", "--force"]
         assert command.main(arguments) == session.INTERRUPTED
         assert capfd.readouterr().err == f"jaxform: {expected}\n"
+
+
+def test_an_interrupted_search_says_how_to_go_on_and_does(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _write(tmp_path)
+    study, out = _write(tmp_path, STUDY.format(method="lbfgs"), "study.toml"), tmp_path / "out"
+    write = optimize.write_history
+
+    def interrupt(path: Path, rows: list[dict[str, Any]]) -> None:
+        write(path, rows)
+        if len(rows) == 2 and not asked:
+            asked.append(1)
+            raise KeyboardInterrupt
+
+    asked: list[int] = []
+    monkeypatch.setattr("optimize.write_history", interrupt)
+    assert command.main(["optimize", str(study), "--out", str(out)]) == 0
+    told = capfd.readouterr().out
+    assert "stopped by interrupted" in told and "continues from here with --resume" in told
+    assert command.main(["optimize", str(study), "--out", str(out), "--resume"]) == 0
+    told = capfd.readouterr().out
+    assert "reused from the journal" in told and "--resume" not in told
 
 
 @pytest.mark.parametrize("method", ["lbfgs", "adam"])
