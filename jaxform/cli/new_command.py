@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,9 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--process",
-        choices=["vacuum", "pressure"],
-        default="vacuum",
-        help="forming process; vacuum (the default) is limited to 0.9 bar",
+        choices=["vacuum", "pressure", "thermoforming", "stretch-blow", "extrusion-blow"],
+        help="forming process; vacuum (the default, also thermoforming) is limited to 0.9 bar; stretch-blow: a bottle "
+        "from a preform",
     )
     parser.add_argument(
         "--thickness", metavar="M", type=float, help="thickness of the sheet [m]; by default in proportion to its width"
@@ -53,6 +53,11 @@ def start(arguments: argparse.Namespace) -> int:
     say = (lambda _: None) if arguments.quiet else session.say
     for key in ("scale", "thickness"):
         _check_positive(f"--{key}", getattr(arguments, key))
+    if arguments.process == "extrusion-blow":
+        remedy = "use stretch-blow for a bottle that is blown from a preform, or write the scene by hand"
+        raise InputError("is not a process of `new` yet", remedy, "--process", arguments.process)
+    if arguments.process == "stretch-blow":
+        return _start_bottle(arguments, say)
     from jaxform.io import scene_text, scene_wizard
 
     paths = [disk.expand_path(name) for name in arguments.mold]
@@ -61,14 +66,42 @@ def start(arguments: argparse.Namespace) -> int:
         made = scene_wizard.draft(paths, wishes)
     except InputError as error:
         raise error.with_context(key="--mold") from None
-    try:
-        session.open_folder(arguments.folder, arguments.force)
-    except InputError as error:
-        raise replace(error, key="FOLDER") from None
+    _open_folder(arguments)
     files = scene_text.write(arguments.folder, paths, made)
     _warn(made)
     for line in _lines(made):
         say(line)
+    return _say_next(arguments, files, say)
+
+
+def _start_bottle(arguments: argparse.Namespace, say: Callable[[str], None]) -> int:
+    """Writes a folder for a bottle that is stretch-blow moulded; returns the exit status."""
+    for key in ("plug", "drape", "cavity", "direction"):
+        if (given := getattr(arguments, key)) not in (None, False):
+            raise InputError("is not possible with --process stretch-blow", "leave it out", f"--{key}", given)
+    from jaxform.io import bottle_wizard
+
+    paths = [disk.expand_path(name) for name in arguments.mold]
+    try:
+        made = bottle_wizard.draft_bottle(paths, arguments.scale, arguments.thickness)
+    except InputError as error:
+        raise error.with_context(key="--mold") from None
+    _open_folder(arguments)
+    files = bottle_wizard.write_bottle(arguments.folder, paths, made)
+    for line in bottle_wizard.describe_bottle(made):
+        say(line)
+    return _say_next(arguments, files, say)
+
+
+def _open_folder(arguments: argparse.Namespace) -> None:
+    try:
+        session.open_folder(arguments.folder, arguments.force)
+    except InputError as error:
+        raise replace(error, key="FOLDER") from None
+
+
+def _say_next(arguments: argparse.Namespace, files: Sequence[Path], say: Callable[[str], None]) -> int:
+    """Prints the files that were written and the next commands; returns the exit status."""
     scene, study = (shlex.quote(str(path)) for path in files[:2])
     say(f"wrote {', '.join(path.name for path in files)} into {arguments.folder}")
     say("next:")
@@ -87,9 +120,9 @@ def _wishes(arguments: argparse.Namespace) -> UserChoices:
 
     direction = None if arguments.direction is None else buck.parse_direction(arguments.direction)
     drape = True if arguments.drape else False if arguments.cavity else None
-    plug = arguments.plug
+    process, plug = "pressure" if arguments.process == "pressure" else "vacuum", arguments.plug
     path = plug if plug is None or plug == "auto" else disk.expand_path(plug)
-    return UserChoices(arguments.scale, arguments.thickness, drape, direction, arguments.process, path)
+    return UserChoices(arguments.scale, arguments.thickness, drape, direction, process, path)
 
 
 def _check_positive(key: str, value: float | None) -> None:

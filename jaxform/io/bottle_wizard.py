@@ -1,0 +1,285 @@
+"""A first scene of stretch-blow moulding for the surface of a bottle: preform, rod, air and mold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.disk import atomic_path
+from jaxform.core.errors import InputError
+from jaxform.io.scene_choices import round_digits
+from jaxform.io.scene_rewriting import inline
+from jaxform.io.unit_checks import Units, guess_units
+from jaxform.mesh import meshes
+from jaxform.mesh.meridian import make_meridian
+from jaxform.tools import footprint, revolution
+from jaxform.tools.revolution import Revolution
+
+Array = NDArray[np.float64]
+
+_WALL = 0.0146  # mean wall of the bottle over its radius: 0.44 mm at 60 mm
+_AXIAL = 2.1  # stretch along the axis
+_FIT, _BODY = 0.92, 0.95  # radius of the preform at its neck over that of the mold, and of its body over that
+_THIN = 0.7  # of the preform's thickness, that it is thick in its neck
+_SHARE = 0.35  # of the body's radius, that the preform is thick at most
+_ROD = 0.63  # radius of the rod over that of the preform
+_NECK = 1.15  # times its least radius: where the bottle is as wide, its neck ends
+_TOP = 0.25  # of the length, in which the neck is
+_NARROW, _HOOP = 0.85, 5.0  # radius of a neck over that of the body at most; largest stretch around that is written
+_GAP = 0.025  # of the radius: between rod and preform at first, and twice that between rod and mold in the end
+_POINTS = 8  # of the round end
+_LIMIT, _SPARE = 25.0, 1.7  # of Gent's model; and at least so many times I1 - 3 of the mean stretches
+_RADIUS, _VOLUME, _ORIFICE, _DEAD = 0.03, 4.2e-4, 1.0e-5, 5.0e-6  # of the built-in bottle, whose air fits it
+
+
+@dataclass(frozen=True)
+class BottleDraft:
+    """A first scene for a bottle.
+
+    Attributes:
+        units: Units of the file.
+        size: Sides of its bounding box in these (3,).
+        body: The bottle's surface [m].
+        preform: Points r, z [m] of the preform from the neck to the round end (k, 2).
+        thickness: Thickness of the preform [m].
+        wall: Mean wall of the bottle [m].
+        around, along: Mean stretches of the body around and along the axis.
+    """
+
+    units: Units
+    size: Array
+    body: Revolution
+    preform: Array
+    thickness: float
+    wall: float
+    around: float
+    along: float
+
+    @property
+    def volume(self) -> float:
+        """Volume of the bottle [m^3]."""
+        return abs(make_meridian(self.body.profile).volume)
+
+
+def draft_bottle(paths: Sequence[Path], scale: float | None = None, thickness: float | None = None) -> BottleDraft:
+    """A first scene for a bottle, whose files are its inside, its outside, or both.
+
+    Args:
+        paths: The mesh files.
+        scale: Metres per unit of the files; guessed by default.
+        thickness: Thickness of the preform [m]; by default for a usual wall.
+
+    Raises:
+        InputError: A file cannot be read, or is no round bottle with a neck.
+    """
+    parts = [meshes.read_mesh(path) for path in paths]
+    raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
+    extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
+    units = guess_units(extent, scale)
+    body = revolution.find_revolution(footprint.weld_mold(raw.positions * units.scale, raw.triangles))
+    neck = _neck_radius(body)
+    if neck > _NARROW * body.radius:
+        problem = (
+            f"has no neck: it is {2e3 * neck:.3g} mm wide at its narrow end and {2e3 * body.radius:.3g} mm elsewhere"
+        )
+        raise InputError(problem, "leave --process out for a sheet that is formed into it")
+    around = body.radius / (neck * _FIT * _BODY)
+    if around > _HOOP:
+        problem = f"would be stretched {around:.2g} times around: its neck is narrow for its body"
+        raise InputError(problem, "write the scene by hand from stretch-blow-bottle, with a wider preform")
+    preform = _preform(body, neck)
+    gain = make_meridian(body.profile).area / make_meridian(preform).area
+    usual = min(_WALL * body.radius * gain, _SHARE * neck * _FIT * _BODY)
+    thick = thickness or round_digits(usual)
+    shoulder = _shoulder(body, neck)
+    along = (body.length - shoulder) / (float(preform[:, 1].max()) - shoulder)
+    return BottleDraft(units, extent, body, preform, thick, thick / gain, around, along)
+
+
+def _neck_radius(body: Revolution) -> float:
+    """Least radius [m] of a bottle near its neck."""
+    near = body.profile[:, 1] <= _TOP * body.length
+    return float(body.profile[near, 0].min())
+
+
+def _preform(body: Revolution, neck: float) -> Array:
+    """The middle of the preform's wall: straight in the neck, then narrower, with a round end."""
+    shoulder = _shoulder(body, neck)
+    end = shoulder + (body.length - shoulder) / _AXIAL
+    top, radius, straight = neck * _FIT, neck * _FIT * _BODY, 0.8 * shoulder
+    angle = np.linspace(0.0, 0.5 * math.pi, _POINTS)
+    rounded = np.stack([radius * np.cos(angle), end - radius + radius * np.sin(angle)], axis=1)
+    rounded[-1, 0] = 0.0
+    narrower = min(straight + 0.1 * (end - shoulder), end - 1.1 * radius)
+    return np.concatenate([[[top, 0.0], [top, straight], [radius, narrower]], rounded])
+
+
+def _shoulder(body: Revolution, neck: float) -> float:
+    """Where the neck of this radius ends [m]: the bottle is wider from there on."""
+    side = body.profile[::-1]
+    wide = int(np.argmax(side[:, 0] > _NECK * neck))
+    (r, z), (s, t) = side[wide - 1], side[wide]
+    return float(z + (t - z) * (_NECK * neck - r) / (s - r))
+
+
+def write_bottle(folder: Path, paths: Sequence[Path], made: BottleDraft) -> list[Path]:
+    """Writes scene.toml and study.toml into a folder that is there, and returns their paths."""
+    texts = {"scene.toml": _scene(made, paths), "study.toml": _STUDY}
+    for name, text in texts.items():
+        with atomic_path(folder / name) as fresh:
+            fresh.write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]
+
+
+def describe_bottle(made: BottleDraft) -> Iterator[str]:
+    """Lines on what was found and chosen."""
+    box, body = " x ".join(f"{side:.4g}" for side in made.size), made.body
+    others = made.units.others or "--scale overrides this"
+    yield f"the bottle's bounding box is {box} in its file's units, assumed to be {made.units.name} ({others})"
+    (x, y, z), (a, b, c) = np.round(body.origin / made.units.scale, 4) + 0.0, np.round(body.axis, 4) + 0.0
+    yield f"it is round about the axis from its neck at ({x:g}, {y:g}, {z:g}) along ({a:g}, {b:g}, {c:g}) of the file"
+    yield (
+        f"it is {1e3 * body.length:.3g} mm long, {2e3 * body.radius:.3g} mm wide with a neck of "
+        f"{2e3 * body.neck:.3g} mm, and holds {1e6 * made.volume:.3g} ml"
+    )
+    mass, end = 1.33e6 * make_meridian(made.preform).area * made.thickness, float(made.preform[:, 1].max())
+    yield (
+        f"preform: {1e3 * end:.3g} mm long, {1e3 * made.thickness:.3g} mm thick, {mass:.3g} g; stretched "
+        f"{made.around:.2g} times around and {made.along:.2g} along, to a mean wall of {1e3 * made.wall:.2g} mm"
+    )
+    yield "guessed: preform, rod, air and times; the material is a placeholder"
+
+
+def _points(points: Array) -> str:
+    """Points (k, 2) [m] as rows of TOML."""
+    rows = [f"[{r:.6g}, {z:.6g}]" for r, z in np.round(points, 6) + 0.0]
+    lines = [", ".join(rows[k : k + 5]) for k in range(0, len(rows), 5)]
+    return "[\n" + "".join(f"    {line},\n" for line in lines) + "]"
+
+
+def _thickness(made: BottleDraft) -> str:
+    """The thickness along z, thinner in the neck."""
+    at = [round(float(z), 6) for z in made.preform[1:3, 1]]
+    return inline({"along": "z", "at": at, "value": [round_digits(_THIN * made.thickness), made.thickness]})
+
+
+def _scene(made: BottleDraft, paths: Sequence[Path]) -> str:
+    body = made.body
+    share = made.volume / _VOLUME
+    gap, end = _GAP * body.radius, float(made.preform[:, 1].max())
+    start = end - gap
+    bottom = float(body.profile[0, 1])
+    stroke = bottom - 2.0 * gap - start
+    # As much as the built-in bottle's wall over its radius, but not less than its air.
+    pressure = max(1.0, made.wall / (_WALL * body.radius))
+    limit = max(_LIMIT, _SPARE * (made.around**2 + made.along**2 - 3.0))
+    mold = np.concatenate([body.profile, [[body.profile[-1, 0], -0.01 * body.length]]])
+    values = {
+        "name": inline(Path(paths[0]).stem),
+        "file": paths[0].name,
+        "preform": _points(made.preform),
+        "thickness": _thickness(made),
+        "limit": f"{limit:.3g}",
+        "supply": inline([round_digits(8e5 * pressure)] * 4 + [round_digits(4e6 * pressure)]),
+        "orifice": f"{_ORIFICE * share:.3g}",
+        "dead": f"{_DEAD * share:.3g}",
+        "mold": _points(mold),
+        "rod": f"{_ROD * float(made.preform[2:, 0].max()):.4g}",
+        "length": f"{1.2 * body.length:.4g}",
+        "start": f"{start:.6g}",
+        "stroke": f"{stroke:.6g}",
+    }
+    text = _SCENE
+    for key, value in values.items():
+        text = text.replace(f"<{key}>", value)
+    return text
+
+
+_SCENE = """# Written by `jaxform new --process stretch-blow` for <file>. SI units everywhere: m, s, kg, Pa.
+# A rod stretches the preform to the bottom of the mold; air blows it up meanwhile, then presses it into the mold. The
+# neck is at z = 0; the axis is z.
+name = <name>
+
+# The middle of the preform's wall, from the neck to the round end.
+[parison]
+shape = "preform"
+profile = <preform>
+elements = 600
+symmetry = "quarter"
+thickness = <thickness>  # m
+temperature = 105.0
+
+# A placeholder for PET: `jaxform fit` fits the parameters to your tests.
+[material]
+model = "gent"
+mu = 1.0e6
+j_max = <limit>
+density = 1330.0
+
+[material.viscous]
+kind = "maxwell"
+modulus = [1.5e6, 6.0e5]
+time = [0.02, 0.2]
+
+[material.shift]
+kind = "wlf"
+reference = 105.0
+c1 = 11.03
+c2 = 81.6
+
+# Pre-blow with a fifth of the valve, then the blow. The orifice is that of a quarter of the valve.
+[gas]
+time = [0.0, 0.05, 0.06, 0.16, 0.17]
+supply_pressure = <supply>  # Pa, gauge
+orifice_area = <orifice>  # m^2
+valve = [0.0, 0.0, 0.2, 0.2, 1.0]
+dead_volume = <dead>  # m^3
+
+# The outside of the file's surface, from the middle of the bottom to the neck.
+[mold]
+shape = "revolved"
+profile = <mold>
+segments = 96
+
+[[tool]]
+name = "rod"
+shape = "rod"
+radius = <rod>
+length = <length>
+translate = [0.0, 0.0, <start>]
+direction = [0.0, 0.0, 1.0]
+time = [0.0, 0.1]
+displacement = [0.0, <stroke>]
+contact = "coulomb"
+friction = 0.2
+
+[solver]
+end_time = 0.3
+damping = 100.0
+"""
+
+_STUDY = """# Written by `jaxform new --process stretch-blow`: the times of rod and air for an even wall.
+scene = "scene.toml"
+
+[[variable]]
+kind = "scale"
+of = "tool.rod.time"
+bounds = [0.6, 1.25]
+
+[[variable]]
+kind = "scale"
+of = "gas.time"
+bounds = [0.75, 1.35]
+
+[objective]
+kind = "uniform"
+
+[solver]
+method = "lbfgs"
+iterations = 3
+"""

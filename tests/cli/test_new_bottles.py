@@ -1,0 +1,86 @@
+"""`jaxform new --process stretch-blow`: a scene for a round bottle that runs the first time, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform.cli.command import main
+from jaxform.mesh import meshes
+from jaxform.tools import molds
+
+BOTTLE = [[0, 6], [20, 5], [32, 0], [42, 3], [45, 10], [45, 190], [30, 250], [13.5, 285], [13.5, 300], [0, 300]]
+
+
+def _write(path: Path, profile: list[list[float]], rotate: list[float] | None = None, segments: int = 48) -> Path:
+    """An STL of a bottle, in the unit of the profile, turned and moved."""
+    shape = molds.revolved(profile=profile, segments=segments)
+    turn = molds.rotation(np.array(rotate or [0.0, 0.0, 0.0]))
+    meshes.write_stl(path, shape.vertices @ turn.T + [12.0, -7.0, 3.0], shape.triangles)
+    return path
+
+
+def _new(folder: Path, mold: Path, *more: str) -> int:
+    return main(["new", str(folder), "--mold", str(mold), "--quiet", *more])
+
+
+def test_scene_of_a_turned_bottle_in_millimetres_runs_the_first_time(tmp_path: Path) -> None:
+    mold, folder = _write(tmp_path / "large.stl", BOTTLE, [90.0, 0.0, 20.0]), tmp_path / "new"
+    assert _new(folder, mold, "--process", "stretch-blow") == 0
+    scene = jaxform.load(folder / "scene.toml")  # warnings are errors here
+    assert scene.mold is not None
+    np.testing.assert_allclose(np.ptp(np.asarray(scene.mold.vertices), axis=0), [0.09, 0.09, 0.303], rtol=3e-3)
+    assert main(["simulate", str(folder / "scene.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["status"] == "ok" and summary["warnings"] == [] and summary["contact_fraction"] > 0.999
+    # A wall of some half a millimetre, as wanted; the bottle is a quarter of it.
+    assert 0.4e-3 < summary["thickness"]["mean"] < 0.7e-3 and 0.05 < 4.0 * summary["mass"] < 0.075
+
+
+def test_findings_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mold = _write(tmp_path / "large.stl", BOTTLE, segments=96)
+    assert main(["new", str(tmp_path / "new"), "--mold", str(mold), "--process", "stretch-blow"]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"300 mm long, (90|89\.\d) mm wide with a neck of (27|26\.9) mm", text)
+    assert "neck at (12, -7, 303) along (0, 0, -1)" in text
+    assert (tmp_path / "new" / "study.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("profile", "more", "words"),
+    [
+        (BOTTLE, ["--process", "extrusion-blow"], "not a process of `new` yet"),
+        (BOTTLE, ["--process", "stretch-blow", "--drape"], "--drape"),
+        (BOTTLE, ["--process", "stretch-blow", "--plug", "auto"], "--plug"),
+        (BOTTLE, ["--process", "stretch-blow", "--thickness", "-1"], "--thickness"),
+        ([[0, 0], [30, 0], [29, 100], [0, 100]], ["--process", "stretch-blow"], "has no neck"),
+        ([[0, 0], [60, 0], [60, 90], [5, 120], [5, 130], [0, 130]], ["--process", "stretch-blow"], "neck is narrow"),
+    ],
+)
+def test_what_cannot_be_stretch_blown_is_refused_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], profile: list[list[float]], more: list[str], words: str
+) -> None:
+    mold = _write(tmp_path / "one.stl", profile)
+    status = _new(tmp_path / "new", mold, *more)
+    error = capsys.readouterr().err
+    assert status == 2 and words in error and error.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_box_is_no_bottle_and_thermoforming_is_what_it_was(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shape = molds.box_insert()
+    meshes.write_stl(tmp_path / "box.stl", shape.vertices, shape.triangles)
+    assert _new(tmp_path / "bottle", tmp_path / "box.stl", "--process", "stretch-blow") == 2
+    assert "no body of revolution" in capsys.readouterr().err
+    written = []
+    for name, more in (("one", []), ("other", ["--process", "thermoforming"])):
+        assert _new(tmp_path / name, tmp_path / "box.stl", *more) == 0
+        written.append((tmp_path / name / "scene.toml").read_text())
+    assert written[0] == written[1]
