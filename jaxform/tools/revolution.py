@@ -75,8 +75,7 @@ def _axes(corners: Array, area: Array, middle: Array) -> list[Array]:
     away = corners - middle
     total = away.sum(1)
     moment = np.einsum("n,nki,nkj->ij", area, away, away) + np.einsum("n,ni,nj->ij", area, total, total)
-    principal: Array = np.linalg.svd(moment)[2].real
-    return [*np.eye(3), *principal]
+    return [*np.eye(3), *np.linalg.svd(moment)[2]]
 
 
 def _turned(points: Array, middle: Array, axis: Array) -> Array:
@@ -84,7 +83,8 @@ def _turned(points: Array, middle: Array, axis: Array) -> Array:
     other = np.eye(3)[np.argmin(np.abs(axis))]
     across = np.cross(axis, other)
     across /= np.linalg.norm(across)
-    return (points - middle) @ np.stack([across, np.cross(axis, across), axis], axis=1)
+    frame: Array = np.asarray([across, np.cross(axis, across), axis], np.float64)
+    return (points - middle) @ frame.T
 
 
 def _segments(corners: Array, angle: float) -> Array:
