@@ -6,23 +6,17 @@ triangle is the one of the step before, and all nodes of a block are moved side 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.sliding import (
-    ContactLosses,
-    LyingNodes,
-    contact_losses,
-    move_within_planes,
-    on_surface,
-)
+from jaxform.contact.sliding import ContactLosses, LyingNodes, mobile_components, on_surface
 from jaxform.kernels.blocks import materialize
 from jaxform.mechanics.membrane import Vector, cross, dot, minus, vector
 from jaxform.mechanics.nodes import Nodes
 from jaxform.tools.motion import ToolFrame, tool_offset, tool_velocity
-from jaxform.tools.surface_walk import OUT, ContactSurface, facets, project_on_plane
+from jaxform.tools.surface_walk import LEAST, OUT, ContactSurface, facets
 
 
 class KnownFacets(NamedTuple):
@@ -30,8 +24,9 @@ class KnownFacets(NamedTuple):
 
     Attributes:
         wall, tool: The contact (n,) for which it holds, as in `Nodes`; the wall is 0 where none is known.
-        geometry: First corner [m], unit normal on the nodes' side, and the vectors [1/m] whose products with a point's
-            offset from that corner are its barycentric coordinates at the second and third one (12, n).
+        geometry: First corner [m], unit normal on the nodes' side, the vectors [1/m] whose products with a point's
+            offset from that corner are its barycentric coordinates at the second and third one, and the vector within
+            the nodes' symmetry planes whose product with the normal is 1 (15, n).
     """
 
     wall: jax.Array
@@ -43,16 +38,19 @@ class KnownFacets(NamedTuple):
         same = self.wall == wall
         return same if self.tool is None or tool is None else same & (self.tool == tool)
 
-    def vectors(self) -> tuple[Vector, Vector, Vector, Vector]:
-        """First corner, normal and both further vectors, three times (n,) each."""
-        first, normal, second, third = (vector(self.geometry[k : k + 3]) for k in range(0, 12, 3))
-        return first, normal, second, third
+    def vectors(self) -> list[Vector]:
+        """First corner, normal and the three further vectors, three times (n,) each."""
+        return [vector(self.geometry[k : k + 3]) for k in range(0, 15, 3)]
 
 
-def find_facets(wall: jax.Array, tool: jax.Array | None, surfaces: tuple[ContactSurface, ...]) -> KnownFacets:
-    """The geometry of the triangles that nodes (n,) with this contact lie on; of others arbitrary."""
-    real = surfaces[0].mold.vertices.dtype
-    geometry = jnp.zeros((12, wall.size), real)
+def find_facets(
+    wall: jax.Array, tool: jax.Array | None, mobile: Vector, surfaces: tuple[ContactSurface, ...]
+) -> KnownFacets:
+    """The geometry of the triangles that nodes (n,) with this contact lie on; mobile is 1 where they may move, else 0.
+
+    Of nodes that touch nothing, or cannot move along the normal, none is known.
+    """
+    geometry, square = jnp.zeros((15, wall.size), mobile[0].dtype), jnp.zeros_like(mobile[0])
     side = jnp.where(wall < 0, -1, 1)
     for number, surface in enumerate(surfaces):
         if surface.mold.contact.sticks:
@@ -60,16 +58,19 @@ def find_facets(wall: jax.Array, tool: jax.Array | None, surfaces: tuple[Contact
         here = (wall != 0) & on_surface(tool, number)
         own = facets(surface.mold, jnp.where(here, jnp.abs(wall) - 1, 0), side)
         first, second, third = own.corners
-        square = dot(own.area_vector, own.area_vector)
+        area = dot(own.area_vector, own.area_vector)
         duals = cross(minus(third, first), own.area_vector), cross(own.area_vector, minus(second, first))
-        rows = [*first, *own.normal, *(x / square for dual in duals for x in dual)]
-        geometry = jnp.where(here, jnp.stack(rows), geometry)
-    return KnownFacets(wall, tool, geometry)
+        free = sum(c * n * n for c, n in zip(mobile, own.normal, strict=True))
+        within = (c * n / jnp.where(free > LEAST, free, 1.0) for c, n in zip(mobile, own.normal, strict=True))
+        rows = [*first, *own.normal, *(x / area for dual in duals for x in dual), *within]
+        geometry, square = jnp.where(here, jnp.stack(rows), geometry), jnp.where(here, free, square)
+    return KnownFacets(jnp.where(square > LEAST, wall, 0), tool, geometry)
 
 
-def begin_facets(nodes: Nodes, surfaces: tuple[ContactSurface, ...]) -> KnownFacets:
-    """The facets that nodes (n,) lie on when a window begins."""
-    return find_facets(jnp.where(nodes.stuck, 0, nodes.wall), nodes.tool, surfaces)
+def begin_facets(nodes: Nodes, compliance: jax.Array, surfaces: tuple[ContactSurface, ...]) -> KnownFacets:
+    """The facets that nodes (n,) lie on when a window begins; compliance (3, n) [1/kg]."""
+    wall = jnp.where(nodes.stuck, 0, nodes.wall)
+    return find_facets(wall, nodes.tool, mobile_components(compliance), surfaces)
 
 
 class SlidWithin(NamedTuple):
@@ -103,25 +104,46 @@ def slide_within_facets(
         damping: Mass-proportional damping [1/s].
     """
     kick, length = steps
-    first, normal, second, third = known.vectors()
+    first, normal, second, third, within = known.vectors()
     carrier, offset = tool_velocity(frames, nodes.tool), tool_offset(frames, nodes.tool)
     trial = nodes.free if carrier is None else minus(nodes.free, carrier)
-    along = materialize(project_on_plane(trial, normal, nodes.mobile))
-    push = -dot(minus(trial, along), normal)
-    slip = materialize(_limit_slip(along, push, nodes.tool, surfaces))
+    outward = materialize(dot(trial, normal))
+    along = materialize(vector(w - outward * q for w, q in zip(trial, within, strict=True)))
+    slip = materialize(_limit_slip(along, -outward, nodes.tool, surfaces))
     on_tool = slip if carrier is None else vector(w + c for w, c in zip(slip, carrier, strict=True))
     end = materialize(vector(x + length * v for x, v in zip(nodes.positions, on_tool, strict=True)))
     away = minus(end if offset is None else minus(end, offset), first)
     height, gamma, delta = materialize((dot(away, normal), dot(away, second), dot(away, third)))
     inside = (gamma >= -OUT) & (delta >= -OUT) & (gamma + delta <= 1.0 + OUT)
-    stays = materialize(nodes.lies & known.holds(nodes.wall, nodes.tool) & inside & (dot(trial, normal) <= 0.0))
-    back = materialize(move_within_planes(height, normal, nodes.mobile))
-    still = vector(jnp.zeros_like(nodes.mass) for _ in range(3))
-    losses = contact_losses(
-        nodes, on_tool, normal, still if carrier is None else carrier, kick, damping,
-        moves=_moving(nodes.tool, surfaces, frames),
-    )  # fmt: skip
-    return SlidWithin(minus(end, back), on_tool, stays, losses)
+    stays = materialize(nodes.lies & known.holds(nodes.wall, nodes.tool) & inside & (outward <= 0.0))
+    place = vector(x - height * q for x, q in zip(end, within, strict=True))
+    moves = _moving(nodes.tool, surfaces, frames)
+    return SlidWithin(place, on_tool, stays, _losses(nodes, on_tool, normal, carrier, kick, damping, moves))
+
+
+def _losses(
+    nodes: LyingNodes,
+    velocities: Vector,
+    normal: Vector,
+    carrier: Any,
+    kick: jax.Array,
+    damping: jax.Array | None,
+    moves: jax.Array | bool,
+) -> ContactLosses:
+    """Losses (n,) [J] as `sliding` has them, from what the tool changes the velocities by."""
+    rate: jax.Array | float = 0.0 if damping is None else damping
+    mean = vector(0.5 * (new + old) for new, old in zip(velocities, nodes.velocities, strict=True))
+    scale = nodes.mass * (1.0 + 0.5 * kick * rate)
+    impulse = vector(scale * (new - free) for new, free in zip(velocities, nodes.free, strict=True))
+    slip = mean if carrier is None else minus(mean, carrier)
+    pushed = dot(impulse, normal) * dot(slip, normal)
+    work: jax.Array | float = 0.0 if carrier is None else dot(impulse, vector(carrier)) + jnp.where(moves, pushed, 0.0)
+    return ContactLosses(
+        work=work,
+        friction=pushed - dot(impulse, slip),
+        impact=jnp.where(moves, 0.0, -pushed),
+        damping=kick * rate * nodes.mass * dot(mean, mean),
+    )
 
 
 def _limit_slip(along: Vector, push: jax.Array, tool: jax.Array | None, surfaces: tuple[ContactSurface, ...]) -> Vector:

@@ -156,17 +156,17 @@ def _slide_on(
     end = move_along(surface, start, pressed, nodes.mobile, differentiable=differentiable)
     last = facets(surface.mold, end.triangle, end.side)
     height = dot(minus(end.position, last.corners[0]), last.normal)
-    place = minus(end.position, move_within_planes(height, last.normal, nodes.mobile))
+    place = minus(end.position, _within_planes(height, last.normal, nodes.mobile))
     # What leaves begins a little off the surface: there it is on one side for sure.
     gap = _CLEAR * touch_distance(surface.grid)
     clear = vector(jnp.where(end.off, gap * c * n, 0.0) for c, n in zip(nodes.mobile, end.outward, strict=True))
     there = vector(x + a + o + length * c for x, a, o, c in zip(place, clear, offset, carrier, strict=True))
-    away = move_within_planes(gap, normal, nodes.mobile)
+    away = _within_planes(gap, normal, nodes.mobile)
     flown = vector(x + a + length * v for x, a, v in zip(nodes.positions, away, nodes.free, strict=True))
     positions = vector(jnp.where(leaves, f, x) for f, x in zip(flown, there, strict=True))
     on_tool = vector(jnp.where(leaves, f, w + c) for f, w, c in zip(nodes.free, slip, carrier, strict=True))
     velocities = vector(jnp.where(leaves, f, w + c) for f, w, c in zip(nodes.free, end.velocity, carrier, strict=True))
-    losses = contact_losses(nodes, on_tool, normal, carrier, kick, damping, moves=frame is not None)
+    losses = _losses(nodes, on_tool, normal, carrier, kick, damping, moves=frame is not None)
     # A tool that moves does work where it turns a node's way.
     turned = nodes.mass * dot(minus(velocities, on_tool), carrier)
     # The forces' work on the way that was not straight, beyond that at the velocities.
@@ -182,14 +182,14 @@ def _slide_on(
     )
 
 
-def move_within_planes(far: jax.Array, normal: Vector, mobile: Vector) -> Vector:
+def _within_planes(far: jax.Array, normal: Vector, mobile: Vector) -> Vector:
     """A displacement by so much along a normal that leaves nodes on their symmetry planes, three times (n,) [m]."""
     square = sum(c * n * n for c, n in zip(mobile, normal, strict=True))
     scale = jnp.where(square > 0.0, far / jnp.where(square > 0.0, square, 1.0), 0.0)
     return vector(scale * c * n for c, n in zip(mobile, normal, strict=True))
 
 
-def contact_losses(
+def _losses(
     nodes: LyingNodes,
     velocities: Vector,
     normal: Vector,
@@ -197,7 +197,7 @@ def contact_losses(
     kick: jax.Array,
     damping: jax.Array | None,
     *,
-    moves: jax.Array | bool,
+    moves: bool,
 ) -> ContactLosses:
     """Work and losses (n,) [J] of a kick after which the nodes have these velocities."""
     mean = vector(0.5 * (new + old) for new, old in zip(velocities, nodes.velocities, strict=True))
@@ -211,9 +211,9 @@ def contact_losses(
     pushed = along * dot(slip, normal)
     friction = pushed - dot(impulse, slip)
     return ContactLosses(
-        work=dot(impulse, carrier) + jnp.where(moves, pushed, 0.0),
+        work=dot(impulse, carrier) + (pushed if moves else 0.0),
         friction=friction,
-        impact=jnp.where(moves, 0.0, -pushed),
+        impact=jnp.zeros_like(nodes.mass) if moves else -pushed,
         damping=kick * rate * nodes.mass * dot(mean, mean),
     )
 
@@ -259,7 +259,7 @@ def land_and_slide(
     last = facets(surface.mold, end.triangle, end.side)
     off = end.off
     height = dot(minus(end.position, last.corners[0]), last.normal)
-    place = minus(end.position, move_within_planes(height, last.normal, mobile))
+    place = minus(end.position, _within_planes(height, last.normal, mobile))
     place = vector(jnp.where(off, p, x) for p, x in zip(point, place, strict=True))
     new = vector(jnp.where(off, s, v) for s, v in zip(slip, end.velocity, strict=True))
     wall = jnp.where(off, wall, end.side * (end.triangle + 1))

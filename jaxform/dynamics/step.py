@@ -396,7 +396,7 @@ def _walk_nodes(
         lying = LyingNodes.of(there, free, nodal, (mass, compliance), lies)
         slid = materialize(slide_nodes(lying, steps, scene.surfaces, frames, damping, differentiable=False))
         time = jnp.where(slid.left, -1.0, before.slid.contact_time)
-        contact = _SlidContact(slid.wall, time, slid.over, find_facets(slid.wall, tool, scene.surfaces))
+        contact = _SlidContact(slid.wall, time, slid.over, find_facets(slid.wall, tool, lying.mobile, scene.surfaces))
         losses = jax.tree.map(lambda lost: jnp.sum(jnp.where(lies, lost, 0.0)), slid.losses)
         total = jax.tree.map(jnp.add, before.losses, losses)
         return _Walking(slid.positions, jnp.stack(slid.velocities), contact, total)

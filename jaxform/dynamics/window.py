@@ -310,7 +310,7 @@ def _begin_window(
         room=room,
         hits=sticking.no_hits(places, positions.dtype) if searches else None,
         record=jnp.full((scene.tables.window_room, places), -1, jnp.int32) if recorded else None,
-        facets=begin_facets(state.nodes, scene.surfaces) if scene.slides and searches else None,
+        facets=begin_facets(state.nodes, now.active.compliance, scene.surfaces) if scene.slides and searches else None,
     )
 
 

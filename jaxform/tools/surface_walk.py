@@ -46,7 +46,7 @@ def connected_parts(neighbors: NDArray[np.int32]) -> NDArray[np.int32]:
 _MOST_SIDES = 8  # that a node crosses in a step, at most
 OUT = 1e-12  # of a triangle's height: a node that is no further out is inside
 _STEEP = 1e-9  # sine: faces that are turned less are one plane
-_LEAST = 1e-12  # of a normal's square that symmetry planes leave
+LEAST = 1e-12  # of a normal's square that symmetry planes leave
 
 
 class ContactSurface(NamedTuple):
@@ -121,7 +121,7 @@ def project_on_plane(velocity: Vector, normal: Vector, mobile: Vector) -> Vector
     """
     within = vector(c * w for c, w in zip(mobile, velocity, strict=True))
     square = sum(c * n * n for c, n in zip(mobile, normal, strict=True))
-    free = square > _LEAST
+    free = square > LEAST
     share = jnp.where(free, dot(within, normal) / jnp.where(free, square, 1.0), 0.0)
     return vector(jnp.where(free, w - share * c * n, 0.0) for w, c, n in zip(within, mobile, normal, strict=True))
 
