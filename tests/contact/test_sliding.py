@@ -12,11 +12,13 @@ import jaxform
 from benchmarks.stability import tools
 from jaxform import molds, shapes
 from jaxform.contact import broad_phase, candidates, sticking
+from jaxform.contact.facet_slip import find_facets, slide_within_facets
 from jaxform.contact.sliding import LyingNodes, slide_nodes
 from jaxform.core.pytree import as_real
 from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics.membrane import dot, minus, unstack_rows, vector
 from jaxform.mechanics.nodes import Nodes
+from jaxform.tools.motion import ToolFrame
 from jaxform.tools.search import build_grid
 from jaxform.tools.surface_walk import ContactSurface, Glide, facets, move_along, signed_neighbors
 
@@ -131,6 +133,57 @@ def test_a_node_that_slides_does_not_pass_another_part_of_its_tool(apart: bool) 
     assert float(landed.nodes.positions[0][0]) == (1.0 if apart else pytest.approx(1.005))
     assert int(abs(landed.nodes.wall[0])) in ((3, 4) if apart else (1,))
     assert float(landed.nodes.velocities[0][0]) == (0.0 if apart else 1.0)
+
+
+def test_a_step_within_a_triangle_is_that_of_the_walk_over_triangles() -> None:
+    """On two tools, one of which moves; some nodes are on a symmetry plane, leave or cross an edge."""
+    rng, count = np.random.default_rng(3), 400
+    slope = np.array([[1.0, 0.0, 0.3], [0.0, 1.0, 0.0], [-0.3, 0.0, 1.0]])
+    flat, tilted = (_square(half=1.0)[0] @ turn for turn in (np.eye(3), slope))
+    surfaces = (
+        _surface(flat, _square()[1], jaxform.make_contact_law("coulomb", 0.3)),
+        _surface(tilted, _square()[1], jaxform.make_contact_law("slide")),
+    )
+    frame = ToolFrame(jnp.array([0.02, 0.0, 0.1]), jnp.array([0.3, 0.0, -0.2]))
+    kick, length, damping = jnp.asarray(0.02), jnp.asarray(0.03), jnp.asarray(0.7)
+    tool, side = rng.integers(0, 2, count), rng.choice([-1, 1], count)
+    place = np.column_stack([rng.uniform(-1, 1, (count, 2)), np.zeros(count)])
+    held = rng.random(count) < 0.3  # at y = 0
+    place[held, 1] = 0.0
+    triangle = (place[:, 1] > place[:, 0]).astype(int)
+    moved = np.where(tool[:, None] == 1, place @ slope + np.asarray(frame.offset - length * frame.velocity), place)
+    mobile = vector(jnp.asarray(c) for c in np.stack([np.ones(count), ~held, np.ones(count)]).astype(float))
+    before, free, nodal = (
+        vector(c * jnp.asarray(x) for c, x in zip(mobile, rng.normal(0, 1, (3, count)), strict=True)) for _ in range(3)
+    )
+    mass = jnp.asarray(rng.uniform(1, 2, count))
+    # As `update_velocity` makes the free velocities.
+    half = 0.5 * damping * kick
+    free = vector(((1 - half) * v + kick * f / mass) / (1 + half) for v, f in zip(before, nodal, strict=True))
+    wall, lies = jnp.asarray(side * (triangle + 1), jnp.int32), jnp.asarray(rng.random(count) < 0.9)
+    nodes = LyingNodes(
+        _vectors(moved), before, free, nodal, mass, mobile, wall, jnp.asarray(tool, jnp.int32), lies
+    )  # fmt: skip
+    steps, frames = (kick, length), (None, frame)
+    known = find_facets(wall, nodes.tool, mobile, surfaces)
+    fast = slide_within_facets(nodes, known, steps, surfaces, frames, damping)
+    walk = slide_nodes(nodes, steps, surfaces, frames, damping, differentiable=False)
+    stays = np.asarray(fast.stays)
+    expected = np.asarray(lies & ~walk.left & (walk.wall == wall))
+    np.testing.assert_array_equal(stays, expected)
+    assert 50 < stays.sum() < 0.7 * count and held[stays].sum() > 10 and 10 < tool[stays].sum() < stays.sum() - 10
+    quick = *fast.positions, *fast.velocities
+    for one, other in zip(quick, (*walk.positions, *walk.velocities), strict=True):
+        np.testing.assert_allclose(np.asarray(one)[stays], np.asarray(other)[stays], rtol=0, atol=1e-14)
+    # What is lost in all; along a normal that a symmetry plane cuts it is shared out differently.
+    losses = [sum(np.broadcast_to(x, count) for x in each)[stays & ~held] for each in (
+        (fast.losses.friction, fast.losses.impact), (walk.losses.friction, walk.losses.impact))]  # fmt: skip
+    np.testing.assert_allclose(*losses, atol=1e-13)
+    for name in ("work", "damping"):
+        own, others = (np.broadcast_to(getattr(each.losses, name), count)[stays] for each in (fast, walk))
+        np.testing.assert_allclose(own, others, atol=1e-13)
+    # Of a triangle that is not the one that nodes lie on nothing is known.
+    assert not np.any(slide_within_facets(nodes, known._replace(wall=-wall), steps, surfaces, frames, damping).stays)
 
 
 def test_below_the_cone_nothing_moves_and_beyond_it_all_of_the_excess_does() -> None:
