@@ -19,7 +19,7 @@ from jaxform.mesh import masks, meshes, outlines
 from jaxform.mesh.grids import triangle_side
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
-from jaxform.tools import covers, footprint, halves, kinds, molds, opening, patches, plugs
+from jaxform.tools import covers, footprint, halves, kinds, molds, opening, patches, plugs, revolution
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
 from jaxform.tools.opening import Opening
@@ -76,7 +76,11 @@ def _verdict(mold: Mesh, wishes: UserChoices) -> kinds.Verdict:
         return kinds.Verdict(wishes.drape) if completion is None else kinds.Verdict(wishes.drape, "", *completion)
     patches.refuse_bottles(mold)
     kinds.refuse_tubes(mold)
-    return kinds.classify(mold)
+    verdict = kinds.classify(mold)
+    if verdict.drape and revolution.is_bottle(mold):
+        doubt = "a round body with a neck, as the inside of a bottle: --process stretch-blow blows it from a preform"
+        return verdict._replace(doubt=doubt)
+    return verdict
 
 
 def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dict[str, Any]) -> Draft:

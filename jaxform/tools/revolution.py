@@ -19,6 +19,8 @@ _HALF_PLANES, _FIRST = (
 _LEVELS = 400  # along the axis, and along the radius, at which the outside is found
 _ROUND = 0.04  # of the radius, its variation around the axis, root mean square, in a body of revolution at most
 _FINE = 0.002  # of the body's length, by which a simplified profile deviates at most
+_TOP = 0.1  # of the length, in which a bottle has its neck
+_TIP, _NARROW = 0.1, 0.6  # of the largest radius, between which the radius of a neck is
 _ENDS = 1e-6  # of the length, left out at both ends, where caps are
 
 
@@ -68,6 +70,17 @@ def find_revolution(mesh: Mesh) -> Revolution:
         problem = f"is no body of revolution: its radius varies by {100 * variation:.0f} % around the best axis"
         raise InputError(problem, "give a bottle that is round, or write the scene by hand from stretch-blow-bottle")
     return _from_neck(corners, middle, axis, outside, variation)
+
+
+def is_bottle(mesh: Mesh) -> bool:
+    """True for a long body of revolution whose one end is a neck: narrow, but no tip."""
+    try:
+        found = find_revolution(mesh)
+    except InputError:
+        return False
+    near = found.profile[found.profile[:, 1] <= _TOP * found.length, 0]
+    narrow = _TIP * found.radius <= near.min() <= near.max() <= _NARROW * found.radius
+    return bool(narrow and found.length >= 2.0 * found.radius)
 
 
 def _axes(corners: Array, area: Array, middle: Array) -> list[Array]:

@@ -51,6 +51,14 @@ def test_findings_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert (tmp_path / "new" / "study.toml").exists()
 
 
+def test_without_a_process_a_solid_bottle_is_said_to_look_like_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mold = _write(tmp_path / "small.stl", [[0, 0], [20, 0], [20, 60], [9, 70], [9, 80], [0, 80]])
+    assert main(["new", str(tmp_path / "new"), "--mold", str(mold)]) == 0
+    assert "a round body with a neck" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("profile", "more", "words"),
     [

@@ -57,6 +57,13 @@ def test_bodies_that_are_not_round_are_refused() -> None:
             revolution.find_revolution(meshes.weld(Mesh(shape.vertices, shape.triangles)))
 
 
+def test_a_cone_a_cup_and_a_box_are_no_bottles() -> None:
+    cup, cone = [[0.0, 0.0], [0.03, 0.0], [0.025, 0.1], [0.0, 0.1]], [[0.0, 0.0], [0.03, 0.0], [0.0, 0.1]]
+    shapes = [molds.box_insert(), *(molds.revolved(profile=profile, segments=48) for profile in (cup, cone))]
+    assert revolution.is_bottle(_bottle((30, 0, 0)))
+    assert not any(revolution.is_bottle(meshes.weld(Mesh(shape.vertices, shape.triangles))) for shape in shapes)
+
+
 def test_simplified_line_keeps_corners_and_its_tolerance() -> None:
     rank = np.linspace(0.0, 1.0, 101)
     line = np.stack([np.minimum(rank, 0.5), np.maximum(rank, 0.5) + 0.001 * np.sin(40.0 * rank)], axis=1)
