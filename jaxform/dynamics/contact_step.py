@@ -76,8 +76,10 @@ def to_tool_frame(moving: WindowState, scene: Scene, now: WindowData, number: in
 def _present_frame(moving: WindowState, scene: Scene, now: WindowData, number: int) -> ToolFrame | None:
     """The frame of a surface in the last step, of which no derivative is taken; None where it rests."""
     motion = scene.surfaces[number].mold.motion
+    if motion is None:
+        return None
     time = now.begin + moving.count * now.length
-    return None if motion is None else jax.lax.stop_gradient(motion.frame(time - now.length, time))
+    return jax.lax.stop_gradient(motion.frame(time - now.length, time))
 
 
 def search_contact(

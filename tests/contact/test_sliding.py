@@ -176,9 +176,9 @@ def test_a_step_within_a_triangle_is_that_of_the_walk_over_triangles() -> None:
     for one, other in zip(quick, (*walk.positions, *walk.velocities), strict=True):
         np.testing.assert_allclose(np.asarray(one)[stays], np.asarray(other)[stays], rtol=0, atol=1e-14)
     # What is lost in all; along a normal that a symmetry plane cuts it is shared out differently.
-    losses = [sum(np.broadcast_to(x, count) for x in each)[stays & ~held] for each in (
+    losses = [np.sum([np.broadcast_to(x, count) for x in each], axis=0)[stays & ~held] for each in (
         (fast.losses.friction, fast.losses.impact), (walk.losses.friction, walk.losses.impact))]  # fmt: skip
-    np.testing.assert_allclose(*losses, atol=1e-13)
+    np.testing.assert_allclose(losses[0], losses[1], atol=1e-13)
     for name in ("work", "damping"):
         own, others = (np.broadcast_to(getattr(each.losses, name), count)[stays] for each in (fast, walk))
         np.testing.assert_allclose(own, others, atol=1e-13)

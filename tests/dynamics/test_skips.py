@@ -75,7 +75,7 @@ def test_what_sticks_to_a_tool_at_rest_is_packed_away_while_others_move_or_nodes
     for name in ("external_work", "tool_work", "friction_loss", "damping_loss"):
         np.testing.assert_allclose(getattr(on.energy, name), getattr(off.energy, name), rtol=1e-10, atol=1e-18)
     state, first, taken = loop.begin(scene)
-    carried = 0
+    carried, left, held = 0, np.zeros(0, bool), np.zeros(0, bool)
     while not bool(is_finished(state, scene)):
         state, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(4))
         left = np.asarray(active_set_of(state, scene, first).packed.kept)
