@@ -96,7 +96,8 @@ def apply_contact(
         now: The step. The positions before it follow from the velocities and its length, so that they need not be
             copied.
         due: Of each surface, the blocks of its list with nodes that can touch in this step.
-        mass: Nodal masses (n_node,) [kg], and compliances (3, n_node) [1/kg] where nodes may slide.
+        mass: Nodal masses (n_node,) [kg], and compliances (3, n_node) [1/kg] where nodes may slide or a tool
+            moves.
         candidates: Of each surface, its list.
         surfaces: The surfaces.
         known: Of each surface, `touches_already`.
@@ -399,6 +400,10 @@ def _place_on_surface(
         work = work + jnp.sum(jnp.where(lands, mass * dot(new - velocities, speed), 0.0))
         point, new = point + offset, new + speed
         after, velocities = jnp.asarray(nodes.positions), nodes.velocities
+        if compliance is not None:
+            # A tool does not carry nodes out of a symmetry plane that it closes on.
+            mobile = jnp.stack(mobile_components(compliance)) > 0.0
+            point, new = jnp.where(mobile, point, after), jnp.where(mobile, new, velocities)
     time = now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length
     return Landing(
         nodes=dataclasses.replace(

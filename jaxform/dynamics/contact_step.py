@@ -137,8 +137,8 @@ def replay_contact(
 
 
 def _masses(scene: Scene, now: WindowData) -> tuple[jax.Array, jax.Array | None]:
-    """The nodes' masses [kg], and where they may slide their compliances [1/kg]."""
-    return now.active.mass, now.active.compliance if scene.slides else None
+    """The nodes' masses [kg], and where they may slide or a tool moves their compliances [1/kg]."""
+    return now.active.mass, now.active.compliance if scene.slides or scene.moves else None
 
 
 def _free_flight(

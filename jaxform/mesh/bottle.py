@@ -62,7 +62,7 @@ class Bottle:
                 raise InputError("is not a positive length", "give metres above 0", key, value)
         limits = {
             "height": (self.height, 3 * self.radius, 20 * self.radius),
-            "neck_radius": (self.neck_radius, 0.2 * self.radius, 0.4 * self.radius),
+            "neck_radius": (self.neck_radius, 0.2 * self.radius, 0.5 * self.radius),
             "hole[0]": (self.hole[0], 0.1 * self.radius, 0.25 * self.radius),
             "hole[1]": (self.hole[1], 0.04 * self.height, 0.14 * self.height),
         }
@@ -146,6 +146,9 @@ def _side(shape: Bottle, inset: float) -> Array:
     """The outline but for the neck's edge, drawn in sideways and up."""
     x = np.array([shape.neck_radius if x is None else x * shape.radius for x, _ in _OUTLINE])
     x[-2:] *= -1.0
+    # The shoulder is nowhere narrower than the neck.
+    shoulder = np.array([y > _SHOULDER for _, y in _OUTLINE])
+    x[shoulder] = np.sign(x[shoulder]) * np.maximum(np.abs(x[shoulder]), shape.neck_radius)
     y = np.array([y * (shape.height if y > 0 else shape.radius) for _, y in _OUTLINE])
     rank = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     fine = np.linspace(0.0, rank[-1], _SAMPLES)

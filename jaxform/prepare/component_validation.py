@@ -161,25 +161,42 @@ def coldest_temperature(
     return jnp.minimum(temperature, free), most
 
 
+_IN_PLANE = 1e-9  # of the size of sheet and tool: what is as near to a symmetry plane is in it
+
+
 def check_motion(mold: Mold, parison: Parison) -> None:
-    """Refuses a mold that moves through a symmetry plane of the parison.
+    """Refuses a mold that moves through a symmetry plane of the parison, or away from it after it touched it.
+
+    A mold half may close: it moves towards the plane, with all of it on the side of the parison, and rests in the end.
 
     Raises:
-        InputError: If it does.
+        InputError: If it moves otherwise.
     """
     if mold.motion is None:
         return
-    planes = np.any(np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None], axis=0)
+    fixed = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
     direction = np.asarray(mold.motion.direction, float)
-    if np.any(planes & (direction != 0.0)):
-        names = ", ".join(axis for axis, plane in zip("xyz", planes, strict=True) if plane)
-        remedy = "move it within the planes, or give the whole parison"
-        raise InputError(
-            f"the mold moves across a symmetry plane (normal to {names})",
-            remedy,
-            "mold.motion.direction",
-            direction.tolist(),
-        )
+    for axis in np.flatnonzero(fixed.any(0) & (direction != 0.0)):
+        if not _closes_on_plane(mold, parison, int(axis), fixed[:, axis]):
+            problem = f"the mold moves across a symmetry plane (normal to {'xyz'[axis]}), or back from it"
+            remedy = "move it within the plane, or towards it up to the plane, or give the whole parison"
+            raise InputError(problem, remedy, "mold.motion.direction", direction.tolist())
+
+
+def _closes_on_plane(mold: Mold, parison: Parison, axis: int, fixed: np.ndarray) -> bool:
+    """True if a mold moves on the parison's side of a symmetry plane, and stays where it first touches that."""
+    assert mold.motion is not None
+    places = np.asarray(parison.positions, float)[:, axis]
+    times = np.asarray(mold.motion.time, float).tolist()
+    gaps = np.array([mold.vertices_at(time)[np.unique(np.asarray(mold.triangles)), axis] for time in times])
+    near = _IN_PLANE * max(np.ptp(places), np.ptp(gaps))
+    if np.ptp(places[fixed]) > near:
+        return False  # as of a tube whose ends are guided
+    level = places[fixed].mean()
+    side = 1.0 if places.mean() > level else -1.0
+    gap = (side * (gaps - level)).min(1)
+    touched = np.maximum.accumulate(gap <= near)
+    return bool(np.all(side * (places - level) >= -near) and np.all(gap >= -near) and np.all(gap[touched] <= near))
 
 
 def validate_tools(tools: Sequence[Mold]) -> list[Mold]:

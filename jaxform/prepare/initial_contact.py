@@ -23,6 +23,7 @@ from jaxform.tools.search import SearchGrid
 Array = NDArray[np.float64]
 
 _ON = 0.01  # of the sheet's thickness: a node that is nearer to the mold lies on it
+_IN_PLANE = 1.0 - 1e-6  # cosine between the normals of a triangle and of a symmetry plane in which it lies
 _FACING = 0.1  # cosine between the sheet's normal and a triangle's, below which pressure does not define the side
 _CHUNK = 2_000_000  # pairs of node and triangle processed together
 
@@ -48,6 +49,9 @@ def find_initial_contact(
     corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # A node that symmetry holds in the plane of a triangle slides along it: it neither comes nor goes.
+    held = np.asarray(parison.fixed)[node] & (np.abs(normal[triangle]) > _IN_PLANE)
+    node, triangle, gap = (each[~held.any(1)] for each in (node, triangle, gap))
     pushed = np.sign(pushes[np.flatnonzero(pushes)[:1]]).sum() or 1.0
     facing = np.einsum("ij,ij->i", pushed * _normals(positions, triangles)[node], normal[triangle])
     inward = np.einsum("ij,ij->i", _inward_directions(positions, triangles)[node], normal[triangle])
