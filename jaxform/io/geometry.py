@@ -22,7 +22,7 @@ from jaxform.mesh import meshes, shapes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
 from jaxform.model.part import Part, make_part, select_mold_files
-from jaxform.tools import footprint, molds, motion
+from jaxform.tools import footprint, molds, motion, parting
 from jaxform.tools.contact_law import make_contact_law
 from jaxform.tools.distances import Distances, interpolate, weights
 from jaxform.tools.mold import Mold, make_mold
@@ -137,7 +137,7 @@ def _shape_of_files(
 def build_part(
     document: SceneDocument, mold: Mold | None, store: Store | None = None, read: ReadMesh = meshes.read_mesh
 ) -> Part | None:
-    """The part of the formed sheet that the document's [part] selects; None without one.
+    """The part of the formed sheet: what the document's [part] selects, without flash; None where it is all of it.
 
     Args:
         document: The document.
@@ -149,11 +149,31 @@ def build_part(
         InputError: It names a file that is none of the mold's, or the box has no inside.
     """
     table = document.model.part
-    if table is None:
+    keep_flash = table is not None and table.flash
+    surfaces = [document.model.mold, *document.model.tool]
+    cavities = [None if keep_flash else _cavity_triangles(document, each, store, read) for each in surfaces]
+    trim = None if table is None or table.trim is None else (table.trim.axis, table.trim.at, table.trim.keep)
+    walls = None
+    if table is not None and table.molds is not None:
+        walls = _wall_triangles(document, table.molds, mold, store, read)
+    if cavities[0] is not None:
+        walls = cavities[0] if walls is None else walls & cavities[0]
+    tool_walls = cavities[1:] if any(each is not None for each in cavities[1:]) else ()
+    box = None if table is None else table.box
+    if box is None and trim is None and walls is None and not tool_walls:
         return None
-    trim = None if table.trim is None else (table.trim.axis, table.trim.at, table.trim.keep)
-    walls = None if table.molds is None else _wall_triangles(document, table.molds, mold, store, read)
-    return make_part(box=table.box, trim=trim, walls=walls)
+    return make_part(box=box, trim=trim, walls=walls, tool_walls=tool_walls)
+
+
+def _cavity_triangles(
+    document: SceneDocument, table: schema.PlacedTable | None, store: Store | None, read: ReadMesh
+) -> NDArray[np.bool_] | None:
+    """Mask of a mold's or tool's triangles (n_triangle,) that are none of its land; None if it has no land."""
+    if table is None or table.land is None:
+        return None
+    shape, land = _make_surface(document, table, store, read)
+    made = make_mold(shape.vertices, shape.triangles)
+    return np.arange(len(made.triangles)) < len(made.triangles) - land
 
 
 def cover_triangles(document: SceneDocument, mold: Mold | None, store: Store | None = None) -> Any:
@@ -287,6 +307,16 @@ def _build_surface(
     name: str = "",
 ) -> Mold:
     """The mold or a tool of this name from its table."""
+    shape, _ = _make_surface(document, table, store, read)
+    law = make_contact_law(table.contact, table.friction if table.contact == "coulomb" else None)
+    warmth = {key: getattr(table, key, None) for key in ("temperature", "heat_transfer")}
+    return make_mold(shape.vertices, shape.triangles, shape.dropped, moves, law, name, **warmth)
+
+
+def _make_surface(
+    document: SceneDocument, table: schema.PlacedTable, store: Store | None, read: ReadMesh
+) -> tuple[molds.MoldShape, int]:
+    """The surface of a table, with the triangles of its land last, and their number."""
     if isinstance(table, schema.MeshFile):
         shape = _shape_of_files(document, table, _paths(table), read)
     else:
@@ -296,9 +326,7 @@ def _build_surface(
         shape = molds.placed(shape, translate=table.translate, rotate=table.rotate)
     if isinstance(table, schema.MeshFile | schema.Revolved):
         shape, _ = _merge_slivers(shape, store)
-    law = make_contact_law(table.contact, table.friction if table.contact == "coulomb" else None)
-    warmth = {key: getattr(table, key, None) for key in ("temperature", "heat_transfer")}
-    return make_mold(shape.vertices, shape.triangles, shape.dropped, moves, law, name, **warmth)
+    return (shape, 0) if table.land is None else parting.add_land(shape, table.land)
 
 
 def _built_in_shape(kind: type, numbers: dict[str, Any], store: Store | None) -> molds.MoldShape:

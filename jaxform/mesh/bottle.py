@@ -33,6 +33,7 @@ _OUTLINE: list[tuple[float | None, float]] = [
 ]
 _BOTTOM = 1.3  # radii of the outline, from its lowest point up, that are bent round to make a flat bottom
 _SHOULDER, _NECK = 0.8, 0.922  # heights where the one ends and the other starts
+_HANDLE = 0.6  # height from which on the outline may be drawn in to the handle's outer edge
 _HOLE = (0.41, 0.66)  # its middle: x in radii, y in heights
 _LEAN = 0.07  # of the hole to the left, per length upwards
 _SAMPLES = 4000  # of a smooth curve
@@ -47,12 +48,21 @@ class Bottle:
         radius: Radius of the body [m].
         neck_radius: [m].
         hole: Half width and half height of the handle's hole [m].
+        hole_center: Its middle: distance from the axis and height [m]; None for 0.41 radii and 0.66 heights.
+        handle_edge: Distance of the handle's outer edge from the axis [m]; None for nearly the body's radius.
     """
 
     height: float = 0.23
     radius: float = 0.04
     neck_radius: float = 0.014
     hole: tuple[float, float] = (0.0075, 0.027)
+    hole_center: tuple[float, float] | None = None
+    handle_edge: float | None = None
+
+    @property
+    def middle_of_hole(self) -> Array:
+        """The middle (2,) [m] of the handle's hole."""
+        return np.array(self.hole_center or np.multiply(_HOLE, (self.radius, self.height)), float)
 
     def check(self) -> None:
         """Raises InputError where the parts do not fit into each other."""
@@ -65,6 +75,9 @@ class Bottle:
             "neck_radius": (self.neck_radius, 0.2 * self.radius, 0.5 * self.radius),
             "hole[0]": (self.hole[0], 0.1 * self.radius, 0.25 * self.radius),
             "hole[1]": (self.hole[1], 0.04 * self.height, 0.14 * self.height),
+            "handle_edge": (self.handle_edge or self.radius, self.middle_of_hole[0] + 2 * self.hole[0], self.radius),
+            "hole_center[0]": (self.middle_of_hole[0], 0.2 * self.radius, 0.5 * self.radius),
+            "hole_center[1]": (self.middle_of_hole[1], 0.5 * self.height, 0.7 * self.height),
         }
         for key, (value, least, most) in limits.items():
             if not least <= value <= most:
@@ -149,6 +162,8 @@ def _side(shape: Bottle, inset: float) -> Array:
     # The shoulder is nowhere narrower than the neck.
     shoulder = np.array([y > _SHOULDER for _, y in _OUTLINE])
     x[shoulder] = np.sign(x[shoulder]) * np.maximum(np.abs(x[shoulder]), shape.neck_radius)
+    handle = np.array([y > _HANDLE for _, y in _OUTLINE])
+    x[handle] = np.minimum(x[handle], np.inf if shape.handle_edge is None else shape.handle_edge)
     y = np.array([y * (shape.height if y > 0 else shape.radius) for _, y in _OUTLINE])
     rank = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     fine = np.linspace(0.0, rank[-1], _SAMPLES)
@@ -161,7 +176,8 @@ def _hole(shape: Bottle, inset: float) -> Array:
     # A superellipse: longer straight sides than an ellipse.
     c, s = (np.sign(part) * np.abs(part) ** 0.8 for part in (np.cos(angle), np.sin(angle)))
     x, y = (shape.hole[0] + inset) * c, (shape.hole[1] + inset) * s
-    return np.stack([_HOLE[0] * shape.radius + x - _LEAN * y, _HOLE[1] * shape.height + y], axis=1)
+    center = shape.middle_of_hole
+    return np.stack([center[0] + x - _LEAN * y, center[1] + y], axis=1)
 
 
 def _offset_inward(curve: Array, inset: float) -> Array:

@@ -305,7 +305,7 @@ def tube(
     *,
     radius: float | Profile,
     length: float,
-    ends: Ends = "clamped",
+    ends: Ends | Sequence[Ends] = "clamped",
     element_size: float | None = None,
     elements: int | None = None,
     symmetry: Symmetry = "none",
@@ -318,7 +318,8 @@ def tube(
         radius: Radius [m], a number or a profile along z, as flare and die swell make it.
         length: Length [m].
         ends: `clamped`: the two end rings never move; `guided`: they stay in their planes and are free in these, as
-            those of a part of a long tube; `free`: nothing holds them.
+            those of a part of a long tube; `free`: nothing holds them. One for both ends, or two: for the end at z = 0
+            and for that at the length.
         element_size: Length of the cells' sides [m]; or
         elements: About how many triangles, in the modelled part.
         symmetry: 'half' keeps x >= 0, 'quarter' x >= 0 and y >= 0.
@@ -337,8 +338,11 @@ def tube(
         profile = radius.positive()
     else:
         profile = Profile("z", (0.0,), (as_length("parison.radius", radius),), "parison.radius")
-    if ends not in ("clamped", "guided", "free"):
-        raise InputError("is no kind of ends", "use clamped, guided or free", "parison.ends", ends)
+    both = [ends, ends] if isinstance(ends, str) else list(ends)
+    if len(both) != 2 or any(end not in ("clamped", "guided", "free") for end in both):
+        raise InputError(
+            "is no kind of ends", "use clamped, guided or free, for both or one for each", "parison.ends", ends
+        )
     heights = np.linspace(0.0, length, 1001)
     arc = 2.0 * math.pi / parts * float(np.interp(heights, profile.at, profile.value).mean())
     check_resolution(element_size, elements, largest=min(arc, length))
@@ -358,9 +362,13 @@ def tube(
         x, y, triangles = x[:-1], y[:-1], triangles % (around * (along + 1))
     positions = np.stack([np.repeat(x, along + 1), np.repeat(y, along + 1), np.tile(heights, len(x))], axis=1)
     positions[:, :2] *= profile.over(positions)[:, None]
-    at_end = (positions[:, 2] == 0.0) | (positions[:, 2] == length)
-    sheet = _sheet(positions, triangles, at_end & (ends == "clamped"), symmetry)
-    sheet.fixed[:, 2] |= at_end & (ends == "guided")
+    at_end = [positions[:, 2] == height for height in (0.0, length)]
+    clamped, guided = (
+        np.logical_or.reduce([there & (end == kind) for there, end in zip(at_end, both, strict=True)])
+        for kind in ("clamped", "guided")
+    )
+    sheet = _sheet(positions, triangles, clamped, symmetry)
+    sheet.fixed[:, 2] |= guided
     return replace(sheet, snap=lambda middles, _, __: _scale_to_cylinder(middles, profile(middles)))
 
 

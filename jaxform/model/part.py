@@ -41,11 +41,19 @@ class Part:
         trim: The side of a plane on which the centre of an element lies; None for both.
         walls: Mask of the mold's triangles (n_triangle,) of the part: an element belongs to it if more of its nodes are
             in contact with these than with others, and an element without contact if its neighbours do. None for all.
+        tool_walls: The same masks of the tools' triangles, in the order of the scene's tools; None for a tool whose
+            contact does not matter. Empty where none does.
     """
 
     box: jax.Array | None = None
     trim: Trim | None = None
     walls: jax.Array | None = None
+    tool_walls: tuple[jax.Array | None, ...] = ()
+
+    @property
+    def by_contact(self) -> bool:
+        """True where the part depends on what the sheet touches."""
+        return self.walls is not None or any(each is not None for each in self.tool_walls)
 
     def holds(self, places: Any) -> Any:
         """Mask (n,) of the places (n, 3) [m] in the box and on the chosen side of the plane; NumPy's or traced."""
@@ -63,6 +71,7 @@ def make_part(
     box: ArrayLike | None = None,
     trim: tuple[Literal["x", "y", "z"], float, Literal["above", "below"]] | None = None,
     walls: ArrayLike | None = None,
+    tool_walls: Sequence[ArrayLike | None] = (),
 ) -> Part:
     """Defines the part of the formed sheet, for `build_scene`.
 
@@ -70,16 +79,18 @@ def make_part(
         box: Lowest and highest corner (2, 3) [m], in formed positions.
         trim: Axis, place along it [m], and which side is the part: ("z", 0.002, "above").
         walls: Mask (n_triangle,) of the mold's triangles with which the part is in contact.
+        tool_walls: The same masks of the tools' triangles, None for a tool whose contact does not matter.
 
     Raises:
         InputError: Nothing is given, a number is not finite, or a box has no volume.
     """
-    if box is None and trim is None and walls is None:
+    if box is None and trim is None and walls is None and all(each is None for each in tool_walls):
         raise InputError("says nothing", "give box, trim or walls", "part")
     return Part(
         None if box is None else as_real(_box(box)),
         None if trim is None else _trim(*trim),
         None if walls is None else jnp.asarray(np.asarray(walls, bool)),
+        tuple(None if each is None else jnp.asarray(np.asarray(each, bool)) for each in tool_walls),
     )
 
 
@@ -105,13 +116,20 @@ def _trim(axis: str, at: float, keep: str) -> Trim:
     return Trim(as_real(at), "xyz".index(axis), keep == "above")
 
 
-def check_part(part: Part | None, triangle_count: int | None) -> None:
-    """Refuses a part that does not fit the mold, of so many triangles; None without a mold.
+def check_part(part: Part | None, triangle_count: int | None, tool_counts: Sequence[int] = ()) -> None:
+    """Refuses a part that does not fit the mold, of so many triangles, and the tools; None without a mold.
 
     Raises:
-        InputError: It names triangles of a mold that is not there, or not as many as the mold has.
+        InputError: It names triangles of a mold or tool that is not there, or not as many as that has.
     """
-    if part is None or part.walls is None:
+    if part is None:
+        return
+    for number, mask in enumerate(part.tool_walls):
+        count = tool_counts[number] if number < len(tool_counts) else 0
+        if mask is not None and mask.shape != (count,):
+            key = f"part.tool_walls[{number}]"
+            raise InputError("is not a mask of the tool's triangles", f"give {count} values", key, mask.shape)
+    if part.walls is None:
         return
     if triangle_count is None:
         raise InputError("there is no mold", "give a mold, or box or trim", "part.walls")

@@ -199,6 +199,29 @@ def _closes_on_plane(mold: Mold, parison: Parison, axis: int, fixed: np.ndarray)
     return bool(np.all(side * (places - level) >= -near) and np.all(gap >= -near) and np.all(gap[touched] <= near))
 
 
+_BEHIND = 256  # roundings of its size, that a plate in a symmetry plane lies behind it: four times what is a touch
+
+
+def set_behind_plane(tool: Mold, parison: Parison) -> Mold:
+    """A tool at rest that lies in a symmetry plane of the parison, as a parting plane does, a rounding behind it.
+
+    There nodes that the symmetry holds in the plane do not touch it; others that come to the plane do. Any other tool
+    is returned as it is.
+    """
+    if tool.motion is not None:
+        return tool
+    places, fixed = np.asarray(parison.positions, float), np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
+    vertices = np.array(tool.vertices)
+    size = np.abs(vertices).max() + np.ptp(vertices, axis=0).max()
+    for axis in np.flatnonzero(fixed.any(0)):
+        level = places[fixed[:, axis], axis].mean()
+        if np.ptp(places[fixed[:, axis], axis]) <= _IN_PLANE * size >= np.abs(vertices[:, axis] - level).max():
+            side = 1.0 if places[:, axis].mean() > level else -1.0
+            vertices[:, axis] = level - side * _BEHIND * np.finfo(vertices.dtype).eps * size
+            return dataclasses.replace(tool, vertices=as_real(vertices))
+    return tool
+
+
 def validate_tools(tools: Sequence[Mold]) -> list[Mold]:
     """The tools besides the mold, each with a name.
 

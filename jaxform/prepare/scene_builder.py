@@ -129,8 +129,9 @@ def build_scene(
     parison, solver = cast_to_precision(parison), cast_to_precision(solver)
     mold, refinement = cast_to_precision(mold), cast_to_precision(refinement)
     tools = component_validation.validate_tools([cast_to_precision(tool) for tool in tools])
+    tools = [component_validation.set_behind_plane(tool, parison) for tool in tools]
     surfaces = [*([] if mold is None else [mold]), *tools]
-    check_part(part, None if mold is None else len(mold.triangles))
+    check_part(part, None if mold is None else len(mold.triangles), [len(tool.triangles) for tool in tools])
     pressure, count = component_validation.validate_loading(pressure), len(parison.positions)
     component_validation.check_weight(solver, refinement)
     if refinement is not None and forest is None:

@@ -9,7 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxform.contact.sliding import on_surface
 from jaxform.mechanics import membrane
+from jaxform.model.part import Part
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 
@@ -26,20 +28,28 @@ def part_elements(result: Result, scene: Scene) -> Any:
         return used
     triangles = jnp.asarray(result.triangles)
     mine = used & part.holds(jnp.asarray(result.positions)[triangles].mean(1))
-    if part.walls is not None:
-        mine &= jnp.sum(_shares(result, scene, part.walls)[triangles], axis=1) > 0
+    if part.by_contact:
+        mine &= jnp.sum(_shares(result, scene, part)[triangles], axis=1) > 0
     return mine
 
 
-def _shares(result: Result, scene: Scene, walls: Any) -> Any:
-    """Assignment of nodes to parts of the mold (n_node,): 1 on its chosen triangles, -1 on others and where clamped.
+def _shares(result: Result, scene: Scene, part: Part) -> Any:
+    """Assignment of nodes to the part (n_node,): 1 on its triangles of mold and tools, -1 on others and where clamped.
 
-    Nodes that touch nothing, as in corners that are not filled, take the mean of those around them, iteratively.
+    Nodes that touch nothing, as in corners that are not filled, or a tool whose contact does not matter, take the mean
+    of those around them, iteratively.
     """
     wall, used = jnp.asarray(result.wall), jnp.asarray(result.used)
-    in_part = walls[jnp.maximum(jnp.abs(wall) - 1, 0)]
-    held = (wall != 0) | jnp.asarray(scene.parison.clamped)
-    first = jnp.where(wall != 0, jnp.where(in_part, 1.0, -1.0), jnp.where(held, -1.0, 0.0))
+    held = jnp.asarray(scene.parison.clamped)
+    first = jnp.where(held, -1.0, 0.0)
+    masks = [*([] if scene.mold is None else [part.walls]), *part.tool_walls]
+    for number, mask in enumerate(masks):
+        if mask is None:
+            continue
+        here = (wall != 0) & on_surface(result.tool, number)
+        chosen = mask[jnp.clip(jnp.abs(wall) - 1, 0, mask.size - 1)]
+        first = jnp.where(here, jnp.where(chosen, 1.0, -1.0), first)
+        held |= here
     corners = jnp.asarray(result.triangles)
     count = membrane.sum_to_nodes(jnp.where(used, 1.0, 0.0), corners.T, wall.size)
 

@@ -121,6 +121,8 @@ def bottle_half(
     radius: float = 0.04,
     neck_radius: float = 0.014,
     hole: Sequence[float] = (0.0075, 0.027),
+    hole_center: Sequence[float] | None = None,
+    handle_edge: float | None = None,
     element_size: float = 0.00595,
 ) -> MoldShape:
     """Half of a soap bottle with a handle, z >= 0, open at the neck (paper, 4.3); 1215 triangles or so.
@@ -130,6 +132,8 @@ def bottle_half(
         radius: Radius of the body [m].
         neck_radius: Radius of the neck [m].
         hole: Half width and half height of the handle's hole [m].
+        hole_center: Distance of its middle from the axis, and its height [m]; 0.41 radii and 0.66 heights by default.
+        handle_edge: Distance of the handle's outer edge from the axis [m]; nearly the body's radius by default.
         element_size: Length of the edges [m] in the plane of the outline.
 
     Returns:
@@ -140,7 +144,8 @@ def bottle_half(
     """
     from jaxform.mesh import bottle
 
-    shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]))
+    center = None if hole_center is None else (hole_center[0], hole_center[1])
+    shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]), center, handle_edge)
     try:
         vertices, triangles = bottle.half_bottle(shape, element_size)
     except InputError as error:

@@ -60,8 +60,8 @@ def find_parting_plane(shape: MoldShape) -> PartingPlane:
 def add_land(shape: MoldShape, width: float) -> tuple[MoldShape, int]:
     """A mold half with its land: the flat face in the parting plane around the cavity and in the holes of its outline.
 
-    The land is a rectangle that is wider by `width` than the cavity on all sides, but open where the cavity is open
-    between ends of its edge in the plane, as at a bottle's neck. Its vertices at the cavity are those of the cavity.
+    The land is a rectangle that is wider by `width` than the cavity on all sides, but for that on which the cavity is
+    open between ends of its edge in the plane, as at a bottle's neck. Its vertices at the cavity are those of the cavity.
 
     Args:
         shape: The mold half, open in a plane across x, y or z.
@@ -128,14 +128,18 @@ def _outlines(shape: MoldShape, plane: PartingPlane) -> tuple[list[NDArray[np.in
 
 
 def _before_opening(ends: Array, cavity, far: float):  # noqa: ANN001, ANN202
-    """The strip before an opening between two ends (2, 2) [m], away from the cavity."""
+    """The strip before an opening between two ends (2, 2) [m], away from the cavity; all of that side where it ends."""
     import shapely
 
-    along = ends[1] - ends[0]
-    normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
-    beside = ends.mean(0) + 1e-3 * np.linalg.norm(along) * normal
-    normal = -normal if cavity.contains(shapely.Point(beside)) else normal
-    return shapely.Polygon([ends[0], ends[1], ends[1] + far * normal, ends[0] + far * normal])
+    width = np.linalg.norm(ends[1] - ends[0])
+    along = (ends[1] - ends[0]) / width
+    normal = np.array([-along[1], along[0]])
+    if cavity.contains(shapely.Point(ends.mean(0) + 1e-3 * width * normal)):
+        normal = -normal
+    beyond = (shapely.get_coordinates(cavity) - ends[0]) @ normal
+    beside = far if beyond.max() <= _FLAT * far else 0.0
+    first, last = ends[0] - beside * along, ends[1] + beside * along
+    return shapely.Polygon([first, last, last + far * normal, first + far * normal])
 
 
 def _join(shape: MoldShape, plane: PartingPlane, flat: Array) -> tuple[MoldShape, int]:

@@ -40,12 +40,15 @@ class PlacedTable(Table):
     Attributes:
         translate: Translation [m] after the rotation.
         rotate: Rotation about x, y and z, one after the other [degrees].
+        land: Width of the land of a mold half [m]: the flat face around its cavity, in the plane across x, y or z in
+            which it is open. The parison is pinched between the lands; what lies there is flash, and no part.
         contact: Contact law of the sheet: nodes `stick`, `slide` without friction, or slide with friction (`coulomb`).
         friction: Coefficient of friction, where contact = "coulomb".
     """
 
     translate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     rotate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    land: Length | None = None
     contact: Literal["stick", "coulomb", "slide"] = "stick"
     friction: Annotated[float, declared_range("mold.contact.friction")] | None = None
 
@@ -157,6 +160,9 @@ class BottleHalf(Table):
         radius: Radius of its body [m].
         neck_radius: Radius of its neck [m].
         hole: Half width and half height of the hole of the handle [m].
+        hole_center: Distance of the hole's middle from the axis, and its height [m]; by default 0.41 radii and 0.66
+            heights.
+        handle_edge: Distance of the handle's outer edge from the axis [m]; by default nearly the body's radius.
         element_size: Side of a triangle [m].
     """
 
@@ -165,6 +171,8 @@ class BottleHalf(Table):
     radius: Length = 0.04
     neck_radius: Length = 0.014
     hole: Annotated[list[Length], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
+    hole_center: Annotated[list[Length], Field(min_length=2, max_length=2)] | None = None
+    handle_edge: Length | None = None
     element_size: Length = 0.00595
 
 

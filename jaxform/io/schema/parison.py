@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, Tag, field_validator, model_validato
 
 from jaxform.core.errors import InputError
 from jaxform.io.schema.quantities import Count, ElementSize, Point, ProfileTable, Temperature, Thickness
-from jaxform.io.validation import Length, Positive, Table, choice, declared_range, validation_error
+from jaxform.io.validation import Length, Positive, Table, choice, declared_range, form, validation_error
 from jaxform.mesh.shapes import parse_plane
 
 Stretch = Annotated[float, declared_range("parison.pre_stretch")]
@@ -98,6 +98,13 @@ class Sphere(_BuiltIn):
     element_size: Length | None = None
 
 
+_End = Literal["clamped", "guided", "free"]
+Ends = Annotated[
+    Annotated[_End, Tag("<both>")] | Annotated[Annotated[list[_End], Field(min_length=2, max_length=2)], Tag("<each>")],
+    form(lambda value: "each" if isinstance(value, list) else "both"),
+]
+
+
 class Tube(_BuiltIn):
     """A round tube about the z axis, from z = 0 to its length; pressure acts from inside.
 
@@ -105,14 +112,15 @@ class Tube(_BuiltIn):
         shape: The kind of sheet.
         radius: Radius of the tube [m], or a profile of it along z, as flare and die swell make it.
         length: Its length [m].
-        ends: Whether the end rings are `clamped`, `guided` (they stay in their planes) or `free`.
+        ends: Whether the end rings are `clamped`, `guided` (they stay in their planes) or `free`: one for both, or two,
+            for the end at z = 0 and for that at the length.
         element_size: Side of a triangle [m].
     """
 
     shape: Literal["tube"]
     radius: ElementSize
     length: Length
-    ends: Literal["clamped", "guided", "free"] = "clamped"
+    ends: Ends = "clamped"
     element_size: Length | None = None
 
     @field_validator("radius")

@@ -42,16 +42,18 @@ class PartTable(Table):
         trim: A plane at which the part is cut off.
         molds: Files of `mold.path`, by name, that the part touches: more of an element's nodes stick to these than to
             others; what touches nothing belongs to what is next to it, and clamped nodes to no file.
+        flash: Whether the flash, which lies on the land of a mold half, counts as part.
     """
 
     box: Annotated[list[Triple], Field(min_length=2, max_length=2)] | None = None
     trim: TrimTable | None = None
     molds: Annotated[list[str], Field(min_length=1)] | None = None
+    flash: bool = False
 
     @model_validator(mode="after")
     def _check(self) -> PartTable:
-        if self.box is None and self.trim is None and self.molds is None:
-            raise validation_error("says nothing", "give box, trim or molds, or leave [part] out", "", {})
+        if self.box is None and self.trim is None and self.molds is None and not self.flash:
+            raise validation_error("says nothing", "give box, trim, molds or flash, or leave [part] out", "", {})
         return self
 
 
