@@ -33,7 +33,7 @@ _OUTLINE: list[tuple[float | None, float]] = [
 ]
 _BOTTOM = 1.3  # radii of the outline, from its lowest point up, that are bent round to make a flat bottom
 _SHOULDER, _NECK = 0.8, 0.922  # heights where the one ends and the other starts
-_HANDLE = 0.6  # height from which on the outline may be drawn in to the handle's outer edge
+_HANDLE = 0.45  # height from which on the outline may be drawn in to the handle's outer edge
 _HOLE = (0.41, 0.66)  # its middle: x in radii, y in heights
 _LEAN = 0.07  # of the hole to the left, per length upwards
 _SAMPLES = 4000  # of a smooth curve

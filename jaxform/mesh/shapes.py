@@ -125,6 +125,7 @@ class Sheet:
         clamped: Nodes that never move, shape (n,), bool.
         fixed: Components of the nodes that symmetry planes hold, shape (n, 3), bool.
         fields: Scalars at the nodes by name, shape (n,), float64.
+        guided: Axes (0 to 2) along which the ends are guided: they stay in planes that are no planes of symmetry.
         snap: Puts the middles (k, 3) of edges with ends (k, 2, 3) [m] on the true surface or rim, told which (k,) are
             on the boundary; None where edges are straight.
     """
@@ -135,6 +136,7 @@ class Sheet:
     fixed: NDArray[np.bool_]
     fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     snap: Snap | None = None
+    guided: tuple[int, ...] = ()
 
 
 def disc(
@@ -318,8 +320,8 @@ def tube(
         radius: Radius [m], a number or a profile along z, as flare and die swell make it.
         length: Length [m].
         ends: `clamped`: the two end rings never move; `guided`: they stay in their planes and are free in these, as
-            those of a part of a long tube; `free`: nothing holds them. One for both ends, or two: for the end at z = 0
-            and for that at the length.
+            those of a part of a long tube, or of a parison that mold halves flatten; `free`: nothing holds them. One
+            for both ends, or two: for the end at z = 0 and for that at the length.
         element_size: Length of the cells' sides [m]; or
         elements: About how many triangles, in the modelled part.
         symmetry: 'half' keeps x >= 0, 'quarter' x >= 0 and y >= 0.
@@ -369,6 +371,7 @@ def tube(
     )
     sheet = _sheet(positions, triangles, clamped, symmetry)
     sheet.fixed[:, 2] |= guided
+    sheet = replace(sheet, guided=(2,) if guided.any() else ())
     return replace(sheet, snap=lambda middles, _, __: _scale_to_cylinder(middles, profile(middles)))
 
 

@@ -8,6 +8,7 @@ static. What the host must build from it (reference geometry, search structure, 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import jax
@@ -42,6 +43,7 @@ class Parison:
         temperature: Initial temperature at the nodes (n_node,) [degC]; None where nothing needs it.
         pre_stretch: Stretches along x and y (2,) that the flat sheet has in its initial positions; its thickness is
             that before. None where the initial sheet is free of stress.
+        guided: Axes (0 to 2) along which nodes are fixed in planes that are no planes of symmetry.
     """
 
     positions: jax.Array
@@ -51,6 +53,7 @@ class Parison:
     fixed: jax.Array
     temperature: jax.Array | None = None
     pre_stretch: jax.Array | None = None
+    guided: tuple[int, ...] = static(default=())
 
     def unstretched(self, positions: ArrayLike) -> np.ndarray:
         """Positions (n, 3) [m] of initial positions (n, 3) [m] before the pre-stretch; on the host."""
@@ -314,6 +317,7 @@ def make_parison(
     fixed: np.ndarray | None = None,
     temperature: ArrayLike | None = None,
     pre_stretch: ArrayLike | None = None,
+    guided: Collection[int] = (),
 ) -> Parison:
     """A parison from positions (n_node, 3) [m], triangles (n_element, 3) and clamped nodes (n_node,).
 
@@ -326,6 +330,8 @@ def make_parison(
         temperature: Temperature of the sheet [degC], a number or (n_node,); None if the material does not depend on it.
         pre_stretch: Stretches along x and y (2,) of a sheet in a plane z = const, which is stretched from the origin
             before it is clamped; positions and thickness are those before.
+        guided: Axes (0 to 2) along which `fixed` holds nodes in planes that are no planes of symmetry, such as the ends
+            of a tube.
 
     Raises:
         InputError: If a thickness is not a positive finite number, or thickness or temperature do not fit the mesh; if
@@ -343,6 +349,7 @@ def make_parison(
         fixed=jnp.zeros((count, 3), bool) if fixed is None else jnp.asarray(fixed, bool),
         temperature=None if temperature is None else _nodal("parison.temperature", temperature, count),
         pre_stretch=None if stretches is None else as_real(stretches),
+        guided=tuple(sorted(guided)),
     )
 
 

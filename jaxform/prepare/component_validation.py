@@ -210,7 +210,10 @@ def set_behind_plane(tool: Mold, parison: Parison) -> Mold:
     """
     if tool.motion is not None:
         return tool
-    places, fixed = np.asarray(parison.positions, float), np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
+    places, fixed = (
+        np.asarray(parison.positions, float),
+        np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None],
+    )
     vertices = np.array(tool.vertices)
     size = np.abs(vertices).max() + np.ptp(vertices, axis=0).max()
     for axis in np.flatnonzero(fixed.any(0)):

@@ -51,7 +51,8 @@ def build_hierarchy(parison: Parison, refinement: Refinement) -> tuple[bisection
         for values in (parison.thickness, parison.temperature)
     )
     assert thickness is not None
-    return forest, dataclasses.replace(extend_parison(forest, thickness, temperature), pre_stretch=parison.pre_stretch)
+    extended = extend_parison(forest, thickness, temperature)
+    return forest, dataclasses.replace(extended, pre_stretch=parison.pre_stretch, guided=parison.guided)
 
 
 def extend_parison(

@@ -441,6 +441,7 @@ def parison_of(result: Result, scene: Scene) -> Parison:
         np.asarray(kept.parison.clamped),
         np.asarray(kept.parison.fixed),
         None if temperature is None else np.asarray(temperature),
+        guided=kept.parison.guided,
     )
 
 

@@ -130,7 +130,8 @@ def symmetry_planes(scene: Scene) -> dict[int, float]:
     """Axis and place [m] of the planes about which the modelled part is symmetric."""
     free = np.asarray(scene.parison.fixed) & ~np.asarray(scene.parison.clamped)[:, None]
     start = np.asarray(scene.parison.positions, float)
-    return {k: float(np.median(start[free[:, k], k])) for k in range(3) if free[:, k].any()}
+    mirrored = [k for k in range(3) if free[:, k].any() and k not in scene.parison.guided]
+    return {k: float(np.median(start[free[:, k], k])) for k in mirrored}
 
 
 def _middle(scene: Scene, axis: int) -> float:

@@ -15,6 +15,7 @@ from jaxform.core.errors import InputError, format_place
 from jaxform.core.promotion import with_standard_promotion
 from jaxform.loads import Pressure
 from jaxform.materials.tension_field import relax_slack_strain
+from jaxform.mesh.topology import components
 from jaxform.model.replacement import describe_out_of_range
 from jaxform.model.scene import Scene
 from jaxform.results.filling import measure_filling, mold_offset, warnings_of_filling
@@ -217,11 +218,30 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
         **_pressures(result),
         "mass": float(part.mass),
         **({} if scene.part is None else {"sheet_mass": float(result.mass)}),
+        **_flash(result, part, scene),
         "added_mass": float(result.added_mass),
         **dict.fromkeys(PENDING),
         "energy": energy | {"balance_error": float(result.energy.balance_error), "quasi_static_error": slow},
         "warnings": [*doubts, *warnings_of(result, scene)],
     }
+
+
+def _flash(result: Result, part: Result, scene: Scene) -> dict[str, Any]:
+    """Mass [kg] of the sheet that is no part, and of each connected piece of it the mass and the box (2, 3) [m]."""
+    if scene.part is None:
+        return {}
+    outside = np.asarray(result.used) & ~np.asarray(part.used)
+    triangles, positions = np.asarray(result.triangles)[outside], np.asarray(result.positions, float)
+    volume = np.asarray(result.element_volume, float)
+    density = (float(result.mass) - float(part.mass)) / max(volume[outside].sum(), np.finfo(float).tiny)
+    pieces, parts = [], components(triangles, len(positions))
+    for number in np.unique(parts[triangles[:, 0]]):
+        here = parts[triangles[:, 0]] == number
+        places = positions[triangles[here]].reshape(-1, 3)
+        mass = float(density * volume[outside][here].sum())
+        pieces.append({"mass": mass, "box": [places.min(0).tolist(), places.max(0).tolist()]})
+    pieces.sort(key=lambda piece: -piece["mass"])
+    return {"flash_mass": float(result.mass) - float(part.mass), "flash": pieces}
 
 
 def _wrinkles(result: Result, scene: Scene, area: np.ndarray) -> dict[str, float]:

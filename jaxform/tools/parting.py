@@ -61,7 +61,7 @@ def add_land(shape: MoldShape, width: float) -> tuple[MoldShape, int]:
     """A mold half with its land: the flat face in the parting plane around the cavity and in the holes of its outline.
 
     The land is a rectangle that is wider by `width` than the cavity on all sides, but for that on which the cavity is
-    open between ends of its edge in the plane, as at a bottle's neck. Its vertices at the cavity are those of the cavity.
+    open between ends of its edge in the plane, as at a bottle's neck. It shares the vertices of the cavity's edge.
 
     Args:
         shape: The mold half, open in a plane across x, y or z.
@@ -127,7 +127,7 @@ def _outlines(shape: MoldShape, plane: PartingPlane) -> tuple[list[NDArray[np.in
     return loops, openings
 
 
-def _before_opening(ends: Array, cavity, far: float):  # noqa: ANN001, ANN202
+def _before_opening(ends: Array, cavity, far: float):
     """The strip before an opening between two ends (2, 2) [m], away from the cavity; all of that side where it ends."""
     import shapely
 
