@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.contact.sliding import on_surface
 from jaxform.mechanics import membrane
 from jaxform.model.part import Part
 from jaxform.model.scene import Scene
@@ -39,23 +38,24 @@ def _shares(result: Result, scene: Scene, part: Part) -> Any:
     Nodes that touch nothing, as in corners that are not filled, or a tool whose contact does not matter, take the mean
     of those around them, iteratively.
     """
-    wall, used = jnp.asarray(result.wall), jnp.asarray(result.used)
+    used = jnp.asarray(result.used)
     held = jnp.asarray(scene.parison.clamped)
     first = jnp.where(held, -1.0, 0.0)
-    masks = [*([] if scene.mold is None else [part.walls]), *part.tool_walls]
-    for number, mask in enumerate(masks):
-        if mask is None:
-            continue
-        here = (wall != 0) & on_surface(result.tool, number)
-        chosen = mask[jnp.clip(jnp.abs(wall) - 1, 0, mask.size - 1)]
-        first = jnp.where(here, jnp.where(chosen, 1.0, -1.0), first)
-        held |= here
+    touched = [(part.walls, result.wall)]
+    first_tool = 0 if scene.mold is None else 1
+    for number, mask in enumerate(part.tool_walls, first_tool):
+        touched.append((mask, jnp.where(result.tool == number, result.tool_wall, 0)))
+    for mask, wall in touched:
+        if mask is not None:
+            chosen = mask[jnp.clip(jnp.abs(wall) - 1, 0, mask.size - 1)]
+            first = jnp.where(wall != 0, jnp.where(chosen, 1.0, -1.0), first)
+            held |= wall != 0
     corners = jnp.asarray(result.triangles)
-    count = membrane.sum_to_nodes(jnp.where(used, 1.0, 0.0), corners.T, wall.size)
+    count = membrane.sum_to_nodes(jnp.where(used, 1.0, 0.0), corners.T, held.size)
 
     def spread(_: int, shares: Any) -> Any:
         means = jnp.where(used, shares[corners].mean(1), 0.0)
-        around = membrane.sum_to_nodes(means, corners.T, wall.size) / jnp.maximum(count, 1.0)
+        around = membrane.sum_to_nodes(means, corners.T, held.size) / jnp.maximum(count, 1.0)
         return jnp.where(held, first, around)
 
     return jax.lax.fori_loop(0, _RINGS, spread, first)
