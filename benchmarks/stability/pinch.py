@@ -1,9 +1,8 @@
 """Random tubes that mold halves flatten and pinch: whether anything passes the parting plane, film is lost, or energy.
 
-`python -m benchmarks.stability.pinch [COUNT]` runs so many scenes (200, about five minutes): half a tube and a half of a
-bottle with a handle whose land closes on the parting plane, or a whole tube between two halves; tubes of other radii,
-walls, lengths and places, bottles of other widths, necks and holes, turned in the parting plane, at speeds from 0.05 to
-2 m/s. It prints the depth of the deepest node beyond the plane or a land, the change of the film's volume, the energy
+`python -m benchmarks.stability.pinch [COUNT]` runs so many scenes (200, about five minutes): half a tube, and half a
+bottle with a handle whose land closes on the parting plane; or a whole tube between two halves. Tubes differ in radius,
+wall, length and place, bottles in width, neck and hole; they are turned in the parting plane, and close at 0.05 to 2 m/s. It prints the depth of the deepest node beyond the plane or a land, the change of the film's volume, the energy
 balance, and how the runs ended.
 """
 
@@ -40,13 +39,14 @@ def scene(seed: int) -> jaxform.Scene:
         element_size=0.009,
     )
     bottle, _ = add_land(bottle, 0.06)
-    gap, closed = radius + rng.uniform(0.001, 0.02), 0.0
-    closed = (gap) / 10 ** rng.uniform(-1.3, 0.3)
-    spin = [90.0 + rng.uniform(-25.0, 25.0), 0.0, 90.0]
-    length, surfaces = rng.uniform(0.12, 0.22), []
+    gap = radius + rng.uniform(0.001, 0.02)
+    closed = gap / 10 ** rng.uniform(-1.3, 0.3)
+    upright = molds.placed(bottle, rotate=[90.0, 0.0, 90.0])
+    length, surfaces = rng.uniform(0.12, 0.22), list[jaxform.Mold]()
     for side in (1.0, -1.0)[: 1 if half else 2]:
-        shape = molds.placed(bottle, rotate=spin)
-        vertices = (shape.vertices + [gap, 0.0, rng.uniform(-0.02, 0.02)]) * [side, 1.0, 1.0]
+        place = [gap, 0.0, rng.uniform(-0.02, 0.02)]
+        shape = molds.placed(upright, rotate=[rng.uniform(-25.0, 25.0), 0.0, 0.0], translate=place)
+        vertices = shape.vertices * [side, 1.0, 1.0]
         motion = jaxform.make_motion([-side, 0, 0], [0.0, closed], [0.0, gap])
         surfaces.append(jaxform.make_mold(vertices, shape.triangles, motion=motion, name="" if side > 0 else "other"))
     if half:
