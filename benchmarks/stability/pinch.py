@@ -1,8 +1,9 @@
 """Random tubes that mold halves flatten and pinch: whether anything passes the parting plane, film is lost, or energy.
 
-`python -m benchmarks.stability.pinch [COUNT]` runs so many scenes (200, about five minutes): half a tube, and half a
+`python -m benchmarks.stability.pinch [COUNT]` runs so many scenes (200, about ten minutes): half a tube, and half a
 bottle with a handle whose land closes on the parting plane; or a whole tube between two halves. Tubes differ in radius,
-wall, length and place, bottles in width, neck and hole; they are turned in the parting plane, and close at 0.05 to 2 m/s. It prints the depth of the deepest node beyond the plane or a land, the change of the film's volume, the energy
+wall, length and place, bottles in width, neck and hole; they are turned in the parting plane, and close at 0.05 to 2
+m/s. It prints the depth of the deepest node beyond the plane or a land, the change of the film's volume, the energy
 balance, and how the runs ended.
 """
 
