@@ -50,8 +50,8 @@ def find_initial_contact(
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     # A node that symmetry holds in the plane of a triangle slides along it: it neither comes nor goes.
-    held = np.asarray(parison.fixed)[node] & (np.abs(normal[triangle]) > _IN_PLANE)
-    node, triangle, gap = (each[~held.any(1)] for each in (node, triangle, gap))
+    held = np.any(np.asarray(parison.fixed)[node] & (np.abs(normal[triangle]) > _IN_PLANE), axis=1)
+    node, triangle, gap = node[~held], triangle[~held], gap[~held]
     pushed = np.sign(pushes[np.flatnonzero(pushes)[:1]]).sum() or 1.0
     facing = np.einsum("ij,ij->i", pushed * _normals(positions, triangles)[node], normal[triangle])
     inward = np.einsum("ij,ij->i", _inward_directions(positions, triangles)[node], normal[triangle])

@@ -44,7 +44,7 @@ def _shares(result: Result, scene: Scene, part: Part) -> Any:
     touched = [(part.walls, result.wall)]
     first_tool = 0 if scene.mold is None else 1
     for number, mask in enumerate(part.tool_walls, first_tool):
-        touched.append((mask, jnp.where(result.tool == number, result.tool_wall, 0)))
+        touched.append((mask, jnp.where(result.tool == number, jnp.asarray(result.tool_wall), 0)))
     for mask, wall in touched:
         if mask is not None:
             chosen = mask[jnp.clip(jnp.abs(wall) - 1, 0, mask.size - 1)]
