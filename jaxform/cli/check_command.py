@@ -89,7 +89,8 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
     for tool in scene.tools:
         yield from _tool_lines(tool)
     if document.model.part is not None:
-        yield f"part: {_short(document.model.part.model_dump(exclude_defaults=True))}; all statistics count the part alone"
+        chosen = _short(document.model.part.model_dump(exclude_defaults=True))
+        yield f"part: {chosen}; all statistics count the part alone"
     tables = [document.model.mold, *document.model.tool]
     if any(table is not None and table.land is not None for table in tables):
         keeps = document.model.part is not None and document.model.part.flash
