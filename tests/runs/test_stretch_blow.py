@@ -46,7 +46,8 @@ def test_pressure_has_two_stages_below_those_of_the_supply(blown: jaxform.Result
     pre_blow = pressure[(time > 0.04) & (time < 0.16)]
     assert 3e5 < pre_blow.max() < 8e5
     assert np.abs(pressure[time < 0.03]).max() < 5e3, "the valve is closed: what the rod makes room for"
-    np.testing.assert_allclose(pressure[-1], 3.0e6, rtol=1e-2)
+    # The run ends when the whole sheet lies on the mold.
+    assert 2.5e6 < pressure[-1] < 3.0e6 and pressure[-1] == pressure.max()
 
 
 def test_wall_is_more_even_the_farther_the_rod_is_ahead(scene: jaxform.Scene, blown: jaxform.Result) -> None:
