@@ -55,7 +55,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("process")
     given = "[pressure]\ntime = [0.0, 0.2]\nvalue = [0.0, 2.0e4]\n"
     assert given in scenes.FILE
-    (folder / "scene.toml").write_text(scenes.FILE.replace(given, PRESSURE) + PLUG)
+    text = scenes.FILE.replace(given, PRESSURE).replace("end_time = 0.05", "end_time = 0.04")
+    (folder / "scene.toml").write_text(text + PLUG)
     (folder / "out").mkdir()
     for stale in ("tool_old.vtu", "mold.vtu"):
         (folder / "out" / stale).write_text("of what was here before")
@@ -77,7 +78,8 @@ def test_the_table_has_pressure_displacements_and_contact(folder: Path) -> None:
     rows, summary = _rows(folder), json.loads((folder / "summary.json").read_text())
     assert list(rows) == ["time", "pressure", "displacement_plug", "contact_mold", "contact_plug"]
     time = rows["time"]
-    assert time[0] == 0.0 and np.all(np.diff(time) > 0.0) and {0.02, 0.04} <= set(time)
+    # The run ends when the whole sheet sticks to the mold, before its end time.
+    assert time[0] == 0.0 and np.all(np.diff(time) > 0.0) and 0.02 in time and 0.02 < time[-1] < 0.04
     np.testing.assert_allclose(time[-1], summary["time"], rtol=1e-8)
     np.testing.assert_allclose(rows["pressure"], 3e4 * np.clip((time - 0.02) / 0.02, 0.0, 1.0), atol=1e-3)
     share = np.clip(time / 0.02, 0.0, 1.0)
@@ -145,7 +147,7 @@ def test_the_report_colours_elements_by_the_tool_that_they_touch(folder: Path) -
         and mold["contact_period"][1] == summary["time"]
     )
     first, half = arrays["part1.tool"], arrays["part2.tool"]
-    assert np.isnan(first).all() and set(half[np.isfinite(half)]) == {0.0}
+    assert np.isnan(first).all() and not np.any(half == 0.0)
     assert plug["work"] == summary["energy"]["tool_work"] > 0.0 == mold["work"]
     assert plug["friction_loss"] == summary["energy"]["friction_loss"] > 0.0 == mold["friction_loss"]
     page = (folder / "report.html").read_text()
