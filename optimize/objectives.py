@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxform import InputError, Profile, Result, Scene, simulate
-from optimize.wall_statistics import formed_area, nodal_area, nodal_volume
+from optimize.wall_statistics import formed_area, nodal_area, nodal_volume, sheet_mass
 
 
 class Objective:
@@ -173,14 +173,16 @@ class Uniform(Objective):
 class LeastMass(Objective):
     """Use as little material as possible for a wall that is nowhere thinner than a minimum.
 
-    The value is the mass, of the part where the scene has one, over that of the initial whole sheet. Every
-    element keeps the minimum by itself, with a multiplier of its own: nothing is blurred into an average. The
-    multipliers' weighted sum is what the mass gains, relative to the first one, per relative change of the minimum.
-    Wall and mass are nearly in ratio, so it comes out near the value: about 1 initially.
+    The value is the mass, of the part where the scene has one, or with `flash` of the whole sheet, over that of the
+    initial whole sheet. Every element of the part keeps the minimum by itself, with a multiplier of its own: nothing is
+    blurred into an average. The multipliers' weighted sum is what the mass gains, relative to the first one, per
+    relative change of the minimum. Wall and mass are nearly in ratio, so it comes out near the value: about 1
+    initially.
 
     Args:
         scene: The scene that is designed.
         minimum: The wall to keep [m].
+        flash: Whether the mass is that of the whole sheet, with its flash and all that is cut from the part.
 
     Raises:
         InputError: If the minimum is not positive.
@@ -189,19 +191,17 @@ class LeastMass(Objective):
     constrained = aims = True
     price = 1.0
 
-    def __init__(self, scene: Scene, minimum: float) -> None:
+    def __init__(self, scene: Scene, minimum: float, *, flash: bool = False) -> None:
         """See the class."""
         if not 0.0 < minimum < np.inf:
             raise InputError("must be positive", "give metres > 0", "objective.minimum", minimum)
         self.minimum = self.uniform = float(minimum)
-        triangles, area = np.asarray(scene.parison.triangles), np.asarray(scene.tables.sheet.area)
-        volume = area * np.asarray(scene.parison.thickness)[triangles].mean(1)
-        density = np.asarray(scene.material.density)
-        self._first_mass = float((volume * (density[triangles].mean(1) if density.ndim else density)).sum())
+        self.flash = flash
+        self._first_mass = float(sheet_mass(scene))
 
     def __call__(self, scene: Scene, result: Result) -> jax.Array:
-        """The mass, of the part where the scene has one, over that of the initial whole sheet."""
-        return result.mass / self._first_mass
+        """The mass, of the part where the scene has one or of the whole sheet, over that of the initial whole sheet."""
+        return (sheet_mass(scene) if self.flash else result.mass) / self._first_mass
 
     def constraints(self, scene: Scene, result: Result) -> tuple[jax.Array, jax.Array]:
         """Shortfall from the minimum (n_element,), relative to it; each element has the same weight."""

@@ -110,7 +110,7 @@ def _objectives(document: StudyDocument, scene: Scene) -> Objective:
 
 def _objective(table: schema.ObjectiveTable, document: StudyDocument, scene: Scene) -> Objective:
     if isinstance(table, schema.LeastMassTable):
-        return LeastMass(scene, table.minimum)
+        return LeastMass(scene, table.minimum, flash=table.flash)
     if isinstance(table, schema.FormingTimeTable):
         return FormingTime(scene, table.power)
     if isinstance(table, schema.TargetTable):

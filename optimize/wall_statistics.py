@@ -26,6 +26,13 @@ def nodal_volume(result: Result) -> jax.Array:
     return _to_nodes(result, result.element_volume)
 
 
+def sheet_mass(scene: Scene) -> jax.Array:
+    """Mass [kg] of the initial sheet, all that becomes flash or is cut from the part included; traced."""
+    triangles, density = jnp.asarray(scene.parison.triangles), jnp.asarray(scene.material.density)
+    volume = jnp.asarray(scene.tables.sheet.area) * jnp.asarray(scene.parison.thickness)[triangles].mean(1)
+    return jnp.sum(volume * (density[triangles].mean(1) if density.ndim else density))
+
+
 def _to_nodes(result: Result, values: jax.Array) -> jax.Array:
     shares = jnp.tile(values / 3.0, 3)
     return jnp.zeros(result.thickness.size, values.dtype).at[result.triangles.T.ravel()].add(shares)

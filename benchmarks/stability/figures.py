@@ -1,8 +1,8 @@
 """Robustness: the edge of stability, energy over a million steps, random scenes, gradients, float32.
 
 Run it with `make stability`, or parts of it by name: `python -m benchmarks.stability edge drift random gradients
-float32`; any other name draws the page alone. What a part finds goes into docs/stability.json; docs/stability.md and
-its pictures are drawn from that file alone.
+float32 pinch`; any other name draws the page alone. What a part finds goes into docs/stability.json; docs/stability.md
+and its pictures are drawn from that file alone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 import jaxform
 from benchmarks.accuracy.cases import modified, mooney, real, scene_of
 from benchmarks.pages import DOCS, Found, read_figures, store_figures
-from benchmarks.stability import page, slopes, stress
+from benchmarks.stability import page, pinch, slopes, stress
 from benchmarks.stability.random_scenes import FURTHER, NAMES, STRANGERS, VISCOUS, family_of
 from jaxform import shapes
 from jaxform.materials import Law
@@ -336,6 +336,7 @@ PARTS: dict[str, Callable[[], Found]] = {
     "random": show_random,
     "gradients": slopes.show_gradients,
     "float32": show_float32,
+    "pinch": pinch.measure,
 }
 
 

@@ -266,4 +266,29 @@ def _percent(value: float) -> str:
     return f"{100 * value:.2g} %" if abs(value) < 0.1 else f"{100 * value:.1f} %"
 
 
-_SECTIONS = {"edge": _edge, "drift": _drift, "random": _random, "gradients": _gradients, "float32": _float32}
+def _pinch(found: Found, folder: Path) -> str:
+    ended = ", ".join(f"{name}: {number}" for name, number in found["endings"].items())
+    bad = f" Not all of them do in the seeds {', '.join(map(str, found['bad']))}." if found["bad"] else ""
+    return "\n".join([
+        "\n## Mold halves that pinch a tube\n",
+        f"{found['count']} random scenes: half a tube, and half a bottle with a handle whose land closes on the "
+        "parting plane; or a whole tube between two halves. Tubes differ in radius, wall, length and place, bottles in "
+        "width, neck and hole; they are turned in the parting plane, and close at 0.05 to 2 m/s. Wanted: no node beyond plane "
+        "or land by more than 1e-9 of the size, the film's volume kept to 1e-3, and the energy balance to one per cent "
+        f"of what air and tools do.{bad}\n",
+        "| how they ended | deepest node beyond plane or land [m] | change of the film's volume | energy balance, "
+        "worst | median |",
+        "|---|---|---|---|---|",
+        f"| {ended} | {found['deepest']:.1e} | {found['volume']:.1e} | {found['balance']['max']:.1e} "
+        f"| {found['balance']['median']:.1e} |\n",
+    ])  # fmt: skip
+
+
+_SECTIONS = {
+    "edge": _edge,
+    "drift": _drift,
+    "random": _random,
+    "gradients": _gradients,
+    "float32": _float32,
+    "pinch": _pinch,
+}

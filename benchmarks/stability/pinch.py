@@ -18,6 +18,7 @@ import jax
 import numpy as np
 
 import jaxform
+from benchmarks.pages import Found
 from jaxform import molds, shapes
 from jaxform.core.pytree import as_real
 from jaxform.results.summary import wrinkle_fraction
@@ -88,12 +89,11 @@ def beyond(made: jaxform.Scene, result: jaxform.Result) -> float:
     return float(max(np.max(-x[held == 0], initial=-1.0), np.max(x[held == 1], initial=-1.0)))
 
 
-def main(count: int) -> int:
-    """Runs so many scenes; 1 if a node passes, film is lost or the energy balance misses a hundredth."""
-    jax.config.update("jax_enable_x64", True)
+def measure(count: int = 200) -> Found:
+    """How so many scenes end, and the largest depth [m], change of volume and error of the energy balance."""
     warnings.simplefilter("ignore")
     endings: Counter[str] = Counter()
-    deepest, lost, balance, bad, begun = -np.inf, [], [], 0, time.perf_counter()
+    deepest, lost, balance, bad, begun = -np.inf, [], [], [], time.perf_counter()
     for seed in range(count):
         made = scene(seed)
         result = jaxform.run(made)
@@ -109,11 +109,24 @@ def main(count: int) -> int:
         lost.append(abs(change))
         balance.append(error)
         if deep > 1e-9 * 0.2 or abs(change) > 1e-3 or error > 1e-2 or ending != "ok":
-            bad += 1
+            bad.append(seed)
             print(f"{seed}: {ending}; beyond {deep:.2g} m, volume {change:.2g}, balance {error:.2g}", flush=True)
     print(f"{dict(endings)}; deepest node {deepest:.2g} m; volume {max(lost):.2g}; balance {max(balance):.2g}, median "
           f"{np.median(balance):.2g}; {time.perf_counter() - begun:.0f} s")  # fmt: skip
-    return int(bad > 0)
+    return {
+        "count": count,
+        "endings": dict(endings),
+        "bad": bad,
+        "deepest": deepest,
+        "volume": max(lost),
+        "balance": {"max": max(balance), "median": float(np.median(balance))},
+    }
+
+
+def main(count: int) -> int:
+    """Runs so many scenes; 1 if a node passes, film is lost or the energy balance misses a hundredth."""
+    jax.config.update("jax_enable_x64", True)
+    return int(bool(measure(count)["bad"]))
 
 
 if __name__ == "__main__":

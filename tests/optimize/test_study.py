@@ -42,7 +42,8 @@ def test_every_kind_of_variable_and_objective_is_read(tmp_path: Path) -> None:
         'kind = "scale"\nof = "material.density"\nbounds = [0.5, 2.0]',
     ]
     objective = (
-        '[[objective]]\nkind = "uniform"\nweight = 2.0\n[[objective]]\nkind = "least-mass"\nminimum = 3e-4\n'
+        '[[objective]]\nkind = "uniform"\nweight = 2.0\n[[objective]]\nkind = "least-mass"\n'
+        "minimum = 3e-4\nflash = true\n"
         '[[objective]]\nkind = "forming-time"\n[[objective]]\nkind = "kinetic-energy"\n'
         '[[objective]]\nkind = "target"\nthickness = { scene = "scene.toml" }\nlimit = 0.1\n'
     )
@@ -61,6 +62,7 @@ def test_every_kind_of_variable_and_objective_is_read(tmp_path: Path) -> None:
         "Target",
     ]
     assert [weight for weight, _ in parts] == [2.0, 1.0, 1.0, 1.0, 1.0]
+    assert isinstance(parts[1][1], optimize.LeastMass) and parts[1][1].flash
     # The wall that the same scene makes is no deviation of its own.
     result = jaxform.run(study.scene)
     assert float(parts[4][1].error(study.scene, result)) < 1e-12

@@ -121,6 +121,37 @@ def test_objectives_count_the_part_alone_and_a_scene_without_one_is_as_it_was(
     excess, weight = least.constraints(scene, mask_part(result, scene))
     assert np.all(np.asarray(weight)[~mine] == 0.0) and float(jnp.sum(weight)) == pytest.approx(1.0)
     np.testing.assert_allclose(np.asarray(excess)[mine], 1.0 - walls / 0.0075)
+    # With flash the mass is that of the whole sheet, and the limit is the part's as before.
+    counted = optimize.LeastMass(scene, 0.0075, flash=True)
+    assert judged(counted)[0] == pytest.approx(1.0, rel=1e-12) and judged(least)[0] < 0.9
+    np.testing.assert_array_equal(counted.constraints(scene, mask_part(result, scene))[0], excess)
+
+
+@pytest.mark.parametrize("densities", [False, True])
+def test_only_a_mass_with_flash_depends_on_the_sheet_outside_the_part(
+    formed: tuple[jaxform.Scene, Result], densities: bool
+) -> None:
+    plain, result = formed
+    scene = dataclasses.replace(plain, part=jaxform.make_part(trim=("z", 0.2, "above")))
+    count = scene.parison.thickness.size
+    if densities:
+        dense = jnp.asarray(np.random.default_rng(0).uniform(900.0, 1100.0, count))
+        material = dataclasses.replace(scene.material, density=dense)
+        scene = dataclasses.replace(scene, material=material)
+    triangles, thickness = np.asarray(scene.parison.triangles), np.asarray(scene.parison.thickness)
+    corners = np.asarray(scene.parison.positions)[triangles]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    density = np.broadcast_to(np.asarray(scene.material.density), count)[triangles].mean(1)
+    mass = float((density * area * thickness[triangles].mean(1)).sum())
+    by_hand = np.bincount(triangles.ravel(), np.repeat(density * area / 3.0, 3), count) / mass
+
+    def value(change: jax.Array, flash: bool) -> jax.Array:
+        changed = jaxform.replace(scene, {"parison.thickness": scene.parison.thickness + change})
+        return optimize.LeastMass(scene, 0.0075, flash=flash)(changed, mask_part(result, changed))
+
+    slope = np.asarray(jax.grad(value)(jnp.zeros(count), True))
+    np.testing.assert_allclose(slope, by_hand, rtol=1e-9)
+    assert np.all(slope[np.unique(triangles)] > 0.0)
 
 
 def test_the_gradient_of_an_objective_over_the_part_is_that_of_central_differences() -> None:

@@ -184,10 +184,13 @@ class LeastMassTable(ObjectiveTable):
     Attributes:
         kind: The kind of objective.
         minimum: Minimum of the wall [m].
+        flash: Whether the mass is that of the whole sheet, with its flash and all that is cut from the part; the
+            minimum is that of the part alone.
     """
 
     kind: Literal["least-mass"]
     minimum: Positive
+    flash: bool = False
 
 
 class FormingTimeTable(ObjectiveTable):
