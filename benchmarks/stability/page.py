@@ -274,8 +274,8 @@ def _pinch(found: Found, folder: Path) -> str:
         f"{found['count']} random scenes: half a tube, and half a bottle with a handle whose land closes on the "
         "parting plane; or a whole tube between two halves. Tubes differ in radius, wall, length and place, bottles in "
         "width, neck and hole; they are turned in the parting plane, and close at 0.05 to 2 m/s. Wanted: no node "
-        "beyond plane or land by more than 1e-9 of the size, the film's volume kept to 1e-3, and the energy balance to one "
-        f"per cent of what air and tools do.{bad}\n",
+        "beyond plane or land by more than 1e-9 of the size, the film's volume kept to 1e-3, and the energy balance to "
+        f"one per cent of what air and tools do.{bad}\n",
         "| how they ended | deepest node beyond plane or land [m] | change of the film's volume | energy balance, "
         "worst | median |",
         "|---|---|---|---|---|",
