@@ -6,6 +6,7 @@ import argparse
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--process",
         choices=["vacuum", "pressure", "thermoforming", "stretch-blow", "extrusion-blow"],
         help="forming process; vacuum (the default, also thermoforming) is limited to 0.9 bar; stretch-blow: a bottle "
-        "from a preform",
+        "from a preform, extrusion-blow: from a tube between closing mold halves",
     )
     parser.add_argument(
         "--thickness", metavar="M", type=float, help="thickness of the sheet [m]; by default in proportion to its width"
@@ -53,10 +54,7 @@ def start(arguments: argparse.Namespace) -> int:
     say = (lambda _: None) if arguments.quiet else session.say
     for key in ("scale", "thickness"):
         _check_positive(f"--{key}", getattr(arguments, key))
-    if arguments.process == "extrusion-blow":
-        remedy = "use stretch-blow for a bottle that is blown from a preform, or write the scene by hand"
-        raise InputError("is not a process of `new` yet", remedy, "--process", arguments.process)
-    if arguments.process == "stretch-blow":
+    if arguments.process in ("stretch-blow", "extrusion-blow"):
         return _start_bottle(arguments, say)
     from jaxform.io import scene_text, scene_wizard
 
@@ -75,20 +73,28 @@ def start(arguments: argparse.Namespace) -> int:
 
 
 def _start_bottle(arguments: argparse.Namespace, say: Callable[[str], None]) -> int:
-    """Writes a folder for a bottle that is stretch-blow moulded; returns the exit status."""
+    """Writes a folder for a bottle that is blow moulded; returns the exit status."""
     for key in ("plug", "drape", "cavity", "direction"):
         if (given := getattr(arguments, key)) not in (None, False):
-            raise InputError("is not possible with --process stretch-blow", "leave it out", f"--{key}", given)
-    from jaxform.io import bottle_wizard
+            raise InputError(f"is not possible with --process {arguments.process}", "leave it out", f"--{key}", given)
+    from jaxform.io import bottle_wizard, extrusion_wizard
 
     paths = [disk.expand_path(name) for name in arguments.mold]
+    sizes = arguments.scale, arguments.thickness
     try:
-        made = bottle_wizard.draft_bottle(paths, arguments.scale, arguments.thickness)
+        if arguments.process == "stretch-blow":
+            preform = bottle_wizard.draft_bottle(paths, *sizes)
+            write, lines = partial(bottle_wizard.write_bottle, made=preform), bottle_wizard.describe_bottle(preform)
+        else:
+            parison = extrusion_wizard.draft_extrusion(paths, *sizes)
+            extrusion_wizard.warn_of_handles(parison)
+            write = partial(extrusion_wizard.write_extrusion, made=parison)
+            lines = extrusion_wizard.describe_extrusion(parison)
     except InputError as error:
         raise error.with_context(key="--mold") from None
     _open_folder(arguments)
-    files = bottle_wizard.write_bottle(arguments.folder, paths, made)
-    for line in bottle_wizard.describe_bottle(made):
+    files = write(arguments.folder, paths)
+    for line in lines:
         say(line)
     return _say_next(arguments, files, say)
 

@@ -1,0 +1,260 @@
+"""A first scene of extrusion blow moulding for the surface of a bottle: tube, closing mold half, air."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.disk import atomic_path
+from jaxform.core.errors import warn_of
+from jaxform.io.scene_choices import round_digits
+from jaxform.io.scene_rewriting import inline
+from jaxform.io.unit_checks import Units, guess_units
+from jaxform.mesh import meshes, topology
+from jaxform.tools import bottles, footprint
+from jaxform.tools.bottles import BottleHalf
+
+Array = NDArray[np.float64]
+
+HALF = "half.stl"
+_FIT = 0.8  # radius of the parison over that of the neck
+_WALL = 0.025  # mean wall of the bottle over the radius of a cylinder of its length and area
+_SHARE = 0.4  # of the parison's radius, that it is thick at most
+_TAIL, _LAND = 0.12, 0.2  # of the bottle's length: parison below the bottom, and the land's width
+_GAP = 0.15  # of the parison's radius, between it and the mold half at first
+_REACH = 0.2  # of a handle's width, over which the flattened parison is to lie
+_C, _ALPHA, _DENSITY = 2.0e5, 0.5, 950.0  # of the placeholder
+_SUPPORT, _SPREAD, _BLOW, _LEAST = 0.07, 3.5, 28.0, 8.0e5  # air, over c h / r; and the blow in Pa at least
+
+
+@dataclass(frozen=True)
+class ExtrusionDraft:
+    """A first scene for a bottle.
+
+    Attributes:
+        units: Units of the file.
+        size: Sides of its bounding box in these (3,).
+        half: Half of the bottle.
+        radius: Radius of the parison [m].
+        thickness: Thickness of the parison [m].
+        wall: Mean wall of the bottle [m].
+        holes: Distances from the axis between which the handle's holes lie in the parting plane [m], and the outer edge
+            of the handle there (3,), for each hole.
+    """
+
+    units: Units
+    size: Array
+    half: BottleHalf
+    radius: float
+    thickness: float
+    wall: float
+    holes: list[tuple[float, float, float]]
+
+    @property
+    def reach(self) -> float:
+        """How far from the axis the flattened parison reaches [m]."""
+        return 0.5 * math.pi * self.radius
+
+
+def draft_extrusion(
+    paths: Sequence[Path], scale: float | None = None, thickness: float | None = None
+) -> ExtrusionDraft:
+    """A first scene for a bottle, whose files are its inside, its outside, both, or half of these.
+
+    Args:
+        paths: The mesh files.
+        scale: Metres per unit of the files; guessed by default.
+        thickness: Thickness of the parison [m]; by default for a usual wall.
+
+    Raises:
+        InputError: A file cannot be read, or is no bottle with a neck and a plane of symmetry.
+    """
+    parts = [meshes.read_mesh(path) for path in paths]
+    raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
+    extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
+    units = guess_units(extent, scale)
+    half = bottles.find_bottle(footprint.weld_mold(raw.positions * units.scale, raw.triangles))
+    radius = round_digits(_FIT * half.neck)
+    gain = half.area / (math.pi * radius * half.length)
+    usual = _WALL * half.area / (math.pi * half.length) * gain
+    thick = thickness or round_digits(min(usual, _SHARE * radius))
+    return ExtrusionDraft(units, extent, half, radius, thick, thick / gain, _find_holes(half))
+
+
+def _find_holes(half: BottleHalf) -> list[tuple[float, float, float]]:
+    """Holes in the outline of the half, as `ExtrusionDraft.holes`."""
+    positions = half.mesh.positions
+    edges, part = topology.open_rims(half.mesh.triangles, len(positions))
+    outline = positions[edges]
+    flat = (outline[..., 0] == 0.0).all(1)
+    found = []
+    for number in np.unique(part):
+        loop = outline[part == number]
+        if not flat[part == number].all():
+            continue
+        y, z = loop[..., 1], loop[..., 2]
+        side = 1.0 if y.mean() > 0.0 else -1.0
+        beside = (part != number) & flat & (np.abs(outline[..., 2].mean(1) - z.mean()) <= 0.25 * np.ptp(z))
+        edge = float((side * outline[beside][..., 1]).max(initial=0.0))
+        found.append((float((side * y).min()), float((side * y).max()), edge))
+    return found
+
+
+def warn_of_handles(made: ExtrusionDraft) -> None:
+    """Warns of handles that the flattened parison does not reach."""
+    for _, inner, outer in made.holes:
+        if made.reach < inner + _REACH * (outer - inner):
+            problem = (
+                f"has a handle from {1e3 * inner:.3g} to {1e3 * outer:.3g} mm beside its axis, and the flattened "
+                f"parison reaches {1e3 * made.reach:.3g} mm: the handle may stay empty"
+            )
+            warn_of(problem, "give the parison a larger radius (parison.radius), or a wider neck", key="--mold")
+
+
+def write_extrusion(folder: Path, paths: Sequence[Path], made: ExtrusionDraft) -> list[Path]:
+    """Writes scene.toml, study.toml and the mold half into a folder that is there, and returns their paths."""
+    texts = {"scene.toml": _scene(made, paths), "study.toml": _study(made)}
+    for name, text in texts.items():
+        with atomic_path(folder / name) as fresh:
+            fresh.write_text(text, encoding="utf-8")
+    with atomic_path(folder / HALF) as fresh:
+        meshes.write_stl(fresh, made.half.mesh.positions, made.half.mesh.triangles)
+    return [folder / name for name in (*texts, HALF)]
+
+
+def describe_extrusion(made: ExtrusionDraft) -> Iterator[str]:
+    """Lines on what was found and chosen."""
+    box, half = " x ".join(f"{side:.4g}" for side in made.size), made.half
+    others = made.units.others or "--scale overrides this"
+    yield f"the bottle's bounding box is {box} in its file's units, assumed to be {made.units.name} ({others})"
+    (a, b, c), (d, e, f) = (np.round(row, 4) + 0.0 for row in (half.rotation[2], half.rotation[0]))
+    yield (
+        f"its neck is at the end along ({a:g}, {b:g}, {c:g}) of the file; the normal of its parting plane is along "
+        f"({d:g}, {e:g}, {f:g})"
+    )
+    wide = float(np.ptp(half.mesh.positions[:, 1]))
+    holes = f", with {len(made.holes)} hole{'s' if len(made.holes) > 1 else ''} beside a handle" if made.holes else ""
+    size = f"{1e3 * half.length:.3g} mm long and {1e3 * wide:.3g} mm wide"
+    yield f"it is {size}, with a neck of {2e3 * half.neck:.3g} mm{holes}"
+    mass = 2e3 * _DENSITY * math.pi * made.radius * half.length * (1.0 + _TAIL) * made.thickness
+    yield (
+        f"parison: {2e3 * made.radius:.3g} mm wide, {1e3 * made.thickness:.3g} mm thick, {mass:.3g} g with its flash; "
+        f"for a mean wall of {1e3 * made.wall:.2g} mm"
+    )
+    yield "guessed: parison, closing, air and times; the material is a placeholder"
+
+
+def _scene(made: ExtrusionDraft, paths: Sequence[Path]) -> str:
+    half, radius = made.half, made.radius
+    tail, wide = _TAIL * half.length, _LAND * half.length
+    gap = round_digits((1.0 + _GAP) * radius)
+    air = _C * made.thickness / radius
+    low, high = half.mesh.positions.min(0), half.mesh.positions.max(0)
+    width = float(high[1] - low[1]) + 2.0 * wide
+    values = {
+        "name": inline(Path(paths[0]).stem),
+        "file": paths[0].name,
+        "radius": f"{radius:.6g}",
+        "length": f"{half.length + tail:.6g}",
+        "thickness": f"{made.thickness:.6g}",
+        "pressure": inline([0.0, *(round_digits(air * share) for share in (_SUPPORT, _SPREAD))])[:-1]
+        + f", {round_digits(max(_LEAST, _BLOW * air)):.6g}]",
+        "half": HALF,
+        "land": f"{wide:.6g}",
+        "gap": f"{gap:.6g}",
+        "tail": f"{tail:.6g}",
+        "plate": inline([round(half.length + tail + 0.1 * half.length, 6), round(width, 6)]),
+        "corner": inline([0.0, round(float(low[1]) - wide, 6), round(-0.05 * half.length, 6)]),
+        "pin": f"{1.1 * half.neck:.6g}",
+        "top": f"{half.length + tail:.6g}",
+    }
+    text = _SCENE
+    for key, value in values.items():
+        text = text.replace(f"<{key}>", value)
+    return text
+
+
+def _study(made: ExtrusionDraft) -> str:
+    bounds = inline([round_digits(0.3 * made.thickness), round_digits(2.5 * made.thickness)])
+    return _STUDY.replace("<bounds>", bounds)
+
+
+_SCENE = """# Written by `jaxform new --process extrusion-blow` for <file>. SI units everywhere: m, s, kg, Pa.
+# A tube hangs between two mold halves, of which one is modelled, with half of the tube. It closes on the parting plane,
+# x = 0, and pinches the tube; what lies on its land is flash, and no part. Then air blows the tube into the mold.
+# The axis is z; the bottle's bottom is at z = <tail>, its neck at z = <top>.
+name = <name>
+
+[parison]
+shape = "tube"
+radius = <radius>
+length = <length>
+elements = 2000
+symmetry = "half"
+ends = ["guided", "clamped"]  # the machine holds the upper end
+thickness = <thickness>  # m
+
+# A placeholder: `jaxform fit` fits the parameters to your tests.
+[material]
+model = "mooney-rivlin"
+c = 2.0e5
+alpha = 0.5
+density = 950.0
+tension_field = true
+
+# Support air, air that spreads the tube until the halves meet, then the blow.
+[pressure]
+time = [0.0, 0.11, 0.2, 0.3]
+value = <pressure>  # Pa
+
+# Half of the bottle's outside, without the rim of its neck, and its land.
+[mold]
+shape = "file"
+path = "<half>"
+land = <land>
+translate = [<gap>, 0.0, <tail>]
+
+[mold.motion]
+direction = [-1.0, 0.0, 0.0]
+time = [0.0, 0.2]
+displacement = [0.0, <gap>]
+
+[[tool]]
+name = "parting-plane"
+shape = "plate"
+size = <plate>
+rotate = [0.0, -90.0, 0.0]
+translate = <corner>
+
+[[tool]]
+name = "blow-pin"
+shape = "plate"
+radius = <pin>
+translate = [0.0, 0.0, <top>]
+
+[solver]
+end_time = 0.34
+damping = 200.0
+"""
+
+_STUDY = """# Written by `jaxform new --process extrusion-blow`: the parison's wall along its length for an even bottle.
+scene = "scene.toml"
+
+[[variable]]
+kind = "thickness-profile"
+along = "z"
+knots = 8
+bounds = <bounds>
+
+[objective]
+kind = "uniform"
+
+[solver]
+method = "lbfgs"
+iterations = 4
+"""

@@ -1,0 +1,230 @@
+"""Bottles of any section: their axis, neck and parting plane, and the half of their outside. On the host."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import meshes, topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools.distances import Distances
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int32]
+
+_TOP = 0.01  # of the length, that is cut off at the neck: the rim, which joins the inside and the outside
+_SLICE = 0.02  # of the length: where sections at the two ends are compared
+_NARROW = 0.7  # width of the neck over the largest width, at most
+_SAMPLES = 1500  # vertices that are mirrored
+_MIRRORED = 0.01  # of the length, root mean square, by which a mirrored bottle deviates from itself at most
+_TURNS = 24  # directions across the axis that are tried as normals of the parting plane
+_FLAT = 1e-5  # of the size: what is as near to a plane lies in it
+_CUT = 0.5  # of the area that a half covers, its cut face at least
+
+
+class BottleHalf(NamedTuple):
+    """Half of the outside of a bottle, x >= 0, open in x = 0 and at the neck; z along the axis from the bottom.
+
+    Attributes:
+        mesh: The surface [m].
+        length: Length of the bottle [m].
+        neck: Radius of the neck's end, of a circle of the same width in the parting plane [m].
+        area: Area of the half [m^2].
+        rotation: Rows are the axes x, y, z in those of the file (3, 3).
+        origin: Place of the origin in the file [m]: below the middle of the neck, at the height of the bottom.
+    """
+
+    mesh: Mesh
+    length: float
+    neck: float
+    area: float
+    rotation: Array
+    origin: Array
+
+
+def find_bottle(mesh: Mesh) -> BottleHalf:
+    """Half of a bottle, from its surface [m], welded: the whole, closed or open at the neck, or a half of it.
+
+    Raises:
+        InputError: It has no neck, or no plane of symmetry along its axis.
+    """
+    used = np.unique(mesh.triangles)
+    size, positions = meshes.size(mesh.positions[used]), mesh.positions
+    axis = _find_axis(positions[used])
+    whole = _complete_half(mesh, axis)
+    positions, used = whole.positions, np.unique(whole.triangles)
+    along = positions @ axis
+    if _width_at_end(positions[used], axis) > _width_at_end(positions[used], -axis):
+        axis, along = -axis, -along
+    low, high = along[used].min(), along[used].max()
+    cut = high - _TOP * (high - low)
+    opened = _largest_part(clip(whole, axis, cut, keep_below=True))
+    rim = _section_middle(opened, axis, cut, size)
+    normal = _parting_normal(opened, axis, rim)
+    half = clip(opened, normal, float(rim @ normal), keep_below=False)
+    rotation = np.stack([normal, np.cross(axis, normal), axis])
+    origin = rim + (low - rim @ axis) * axis
+    places = (half.positions - origin) @ rotation.T
+    places[np.abs(places[:, 0]) <= _FLAT * size, 0] = 0.0
+    top = np.abs(places[:, 2] - (cut - low)) <= _FLAT * size
+    places[top, 2] = cut - low
+    triangles = half.triangles
+    corners = places[triangles]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    in_plane = top & (places[:, 0] == 0.0)
+    neck = 0.5 * float(np.ptp(places[in_plane, 1])) if in_plane.any() else 0.0
+    if neck <= 0.0:
+        raise InputError("has no open end at its neck in the parting plane", "repair the mesh of the bottle")
+    return BottleHalf(Mesh(places, triangles, {}), float(cut - low), neck, float(area.sum()), rotation, origin)
+
+
+def clip(mesh: Mesh, normal: Array, level: float, *, keep_below: bool) -> Mesh:
+    """The part of a surface on one side of the plane normal . x = level, open where it was cut.
+
+    Vertices that are nearly in the plane are put there; triangles in the plane are left out.
+    """
+    side = (mesh.positions @ normal - level) * (-1.0 if keep_below else 1.0)
+    near = _FLAT * meshes.size(mesh.positions[np.unique(mesh.triangles)])
+    flat = np.abs(side) <= near
+    positions = mesh.positions - np.where(flat, mesh.positions @ normal - level, 0.0)[:, None] * normal
+    side = np.where(flat, 0.0, side)
+    of_corners = side[mesh.triangles]
+    whole = (of_corners >= 0.0).all(1) & (of_corners > 0.0).any(1)
+    crossed = (of_corners > 0.0).any(1) & (of_corners < 0.0).any(1)
+    places, triangles, cuts = [positions], [mesh.triangles[whole]], dict[tuple[int, int], int]()
+    count, added, made = len(positions), list[Array](), list[list[int]]()
+    for corner in mesh.triangles[crossed].tolist():
+        polygon: list[int] = []
+        for one, other in zip(corner, [*corner[1:], corner[0]], strict=True):
+            if side[one] >= 0.0:
+                polygon.append(one)
+            if side[one] * side[other] < 0.0:
+                key = (min(one, other), max(one, other))
+                if key not in cuts:
+                    share = side[key[0]] / (side[key[0]] - side[key[1]])
+                    cuts[key] = count + len(added)
+                    added.append(positions[key[0]] + share * (positions[key[1]] - positions[key[0]]))
+                polygon.append(cuts[key])
+        made += [[polygon[0], polygon[k], polygon[k + 1]] for k in range(1, len(polygon) - 1)]
+    if added:
+        places.append(np.array(added))
+        triangles.append(np.array(made, np.int32))
+    joined = np.concatenate(places)
+    faces = np.concatenate(triangles)
+    faces = faces[~meshes.find_degenerate(joined, faces)]
+    kept, renumbered = np.unique(faces, return_inverse=True)
+    return Mesh(joined[kept], renumbered.reshape(-1, 3).astype(np.int32), {})
+
+
+def _find_axis(points: Array) -> Array:
+    """The axis x, y or z along which points (n, 3) are longest, or their principal axis if they are longer along it."""
+    principal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][0]
+    extents = np.ptp(points, axis=0)
+    best = int(np.argmax(extents))
+    if float(np.ptp(points @ principal)) > 1.02 * extents[best]:
+        return principal
+    return np.eye(3)[best]
+
+
+def _width_at_end(points: Array, axis: Array) -> float:
+    """The width [m] of points (n, 3) near the end along an axis, across it."""
+    along = points @ axis
+    near = points[along >= along.max() - _SLICE * np.ptp(along)]
+    across = near - np.outer(near @ axis, axis)
+    return float(np.linalg.norm(np.ptp(across, axis=0)))
+
+
+def _complete_half(mesh: Mesh, axis: Array) -> Mesh:
+    """The whole of a mesh that is half of a bottle, open or closed by a flat face along the axis; else the mesh."""
+    positions, triangles = mesh.positions, mesh.triangles
+    corners = positions[triangles]
+    area_vector = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size, edges = meshes.size(positions[np.unique(triangles)]), topology.boundary_edges(triangles)
+    length = np.linalg.norm(positions[edges[:, 1]] - positions[edges[:, 0]], axis=1)
+    for way in _across(mesh, axis):
+        level = (positions[np.unique(triangles)] @ way).min()
+        there = np.abs(positions @ way - level) <= _FLAT * size
+        flat = there[triangles].all(1)
+        covered = 0.5 * np.abs(area_vector @ way).sum()
+        closed = np.abs(area_vector[flat] @ way).sum() >= _CUT * covered
+        opened = len(edges) > 0 and length[there[edges].all(1)].sum() >= _CUT * length.sum()
+        if closed or opened:
+            half = Mesh(positions, triangles[~flat], {})
+            image = positions - 2.0 * np.outer(positions @ way - level, way)
+            both = meshes.merge([half, Mesh(image, half.triangles[:, ::-1], {})])
+            return meshes.weld(both)
+    return mesh
+
+
+def _across(mesh: Mesh, axis: Array) -> Iterator[Array]:
+    """Directions across the axis, both ways: those of the file first, then the normals of the largest flat faces."""
+    for way in np.eye(3):
+        if abs(way @ axis) < 1e-6:
+            yield way
+            yield -way
+    corners = mesh.positions[mesh.triangles]
+    area_vector = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = area_vector[np.argmax(np.linalg.norm(area_vector, axis=1))]
+    normal = normal / np.linalg.norm(normal)
+    if abs(normal @ axis) < 1e-3:
+        yield normal
+        yield -normal
+
+
+def _largest_part(mesh: Mesh) -> Mesh:
+    """The connected part with the largest box: of a bottle with a wall, its outside."""
+    parts = topology.components(mesh.triangles, len(mesh.positions))[mesh.triangles[:, 0]]
+    numbers = np.unique(parts)
+    sizes = [meshes.size(mesh.positions[np.unique(mesh.triangles[parts == number])]) for number in numbers]
+    kept, renumbered = np.unique(mesh.triangles[parts == numbers[int(np.argmax(sizes))]], return_inverse=True)
+    return Mesh(mesh.positions[kept], renumbered.reshape(-1, 3).astype(np.int32), {})
+
+
+def _section_middle(mesh: Mesh, axis: Array, level: float, size: float) -> Array:
+    """The middle (3,) [m] of the open end at a level along the axis."""
+    edges = topology.boundary_edges(mesh.triangles)
+    ends = mesh.positions[edges]
+    there = (np.abs(ends @ axis - level) <= _FLAT * size).all(1)
+    if not there.any():
+        raise InputError("has no neck", "give the surface of a bottle")
+    points = ends[there].reshape(-1, 3)
+    width = np.linalg.norm(points - points.mean(0), axis=1).max()
+    across = mesh.positions - np.outer(mesh.positions @ axis, axis)
+    widest = 0.5 * np.linalg.norm(np.ptp(across, axis=0))
+    if width > _NARROW * widest:
+        problem = f"has no neck: its narrow end is {2e3 * width:.3g} mm wide, and its body {2e3 * widest:.3g} mm"
+        raise InputError(problem, "leave --process out for a sheet that is formed into it")
+    length = np.linalg.norm(ends[there, 1] - ends[there, 0], axis=1)
+    return np.average(ends[there].mean(1), axis=0, weights=length)
+
+
+def _parting_normal(mesh: Mesh, axis: Array, rim: Array) -> Array:
+    """The normal of the plane of symmetry along the axis across which the bottle is shortest."""
+    first = next(way for way in np.eye(3) if abs(way @ axis) < 0.9)
+    first = first - (first @ axis) * axis
+    first /= np.linalg.norm(first)
+    other = np.cross(axis, first)
+    angles = np.pi * np.arange(_TURNS) / _TURNS
+    ways = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * other
+    length = float(np.ptp(mesh.positions @ axis))
+    picked = mesh.positions[:: max(1, len(mesh.positions) // _SAMPLES)]
+    surface = Distances(mesh.positions, mesh.triangles, length)
+    found = []
+    for way in ways:
+        image = picked - 2.0 * np.outer((picked - rim) @ way, way)
+        away = surface.nearest(image).distance
+        found.append((float(np.sqrt(np.mean(np.square(away)))), float(np.ptp(mesh.positions @ way))))
+    error, extent = np.array(found).T
+    mirrored = error <= _MIRRORED * length
+    if not mirrored.any():
+        problem = (
+            f"has no plane of symmetry through its neck: the best one leaves {1e3 * error.min():.3g} mm; such halves "
+            "differ"
+        )
+        raise InputError(problem, "write the scene by hand, with one half as [mold] and the other as [[tool]]")
+    # Of nearly equal widths, the plane that fits best.
+    return ways[int(np.lexsort((error, np.round(extent / length, 2), ~mirrored))[0])]
