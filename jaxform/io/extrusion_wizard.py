@@ -28,6 +28,7 @@ _SHARE = 0.4  # of the parison's radius, that it is thick at most
 _TAIL, _LAND = 0.12, 0.2  # of the bottle's length: parison below the bottom, and the land's width
 _GAP = 0.15  # of the parison's radius, between it and the mold half at first
 _REACH = 0.2  # of a handle's width, over which the flattened parison is to lie
+_ABOVE = 1e-4  # of the length, between the mold and the blow pin
 _C, _ALPHA, _DENSITY = 2.0e5, 0.5, 950.0  # of the placeholder
 _SUPPORT, _SPREAD, _BLOW, _LEAST = 0.07, 3.5, 28.0, 8.0e5  # air, over c h / r; and the blow in Pa at least
 
@@ -172,6 +173,8 @@ def _scene(made: ExtrusionDraft, paths: Sequence[Path]) -> str:
         "corner": inline([0.0, round(float(low[1]) - wide, 6), round(-0.05 * half.length, 6)]),
         "pin": f"{1.1 * half.neck:.6g}",
         "top": f"{half.length + tail:.6g}",
+        # A little above the mold, whose file is rounded.
+        "above": f"{half.length * (1.0 + _ABOVE) + tail:.6g}",
     }
     text = _SCENE
     for key, value in values.items():
@@ -235,7 +238,7 @@ translate = <corner>
 name = "blow-pin"
 shape = "plate"
 radius = <pin>
-translate = [0.0, 0.0, <top>]
+translate = [0.0, 0.0, <above>]
 
 [solver]
 end_time = 0.34
