@@ -22,7 +22,8 @@ from jaxform.tools.bottles import BottleHalf
 Array = NDArray[np.float64]
 
 HALF = "half.stl"
-_FIT = 0.8  # radius of the parison over that of the neck
+_FIT, _WIDE_FIT = 0.8, 0.92  # radius of the parison over that of the neck; the second for a bottle with a handle
+_ELEMENTS, _MORE = 2000, 3000  # the second for a bottle with a handle
 _WALL = 0.025  # mean wall of the bottle over the radius of a cylinder of its length and area
 _SHARE = 0.4  # of the parison's radius, that it is thick at most
 _TAIL, _LAND = 0.12, 0.2  # of the bottle's length: parison below the bottom, and the land's width
@@ -80,11 +81,12 @@ def draft_extrusion(
     extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
     units = guess_units(extent, scale)
     half = bottles.find_bottle(footprint.weld_mold(raw.positions * units.scale, raw.triangles))
-    radius = round_digits(_FIT * half.neck)
+    holes = _find_holes(half)
+    radius = round_digits((_WIDE_FIT if holes else _FIT) * half.neck)
     gain = half.area / (math.pi * radius * half.length)
     usual = _WALL * half.area / (math.pi * half.length) * gain
     thick = thickness or round_digits(min(usual, _SHARE * radius))
-    return ExtrusionDraft(units, extent, half, radius, thick, thick / gain, _find_holes(half))
+    return ExtrusionDraft(units, extent, half, radius, thick, thick / gain, holes)
 
 
 def _find_holes(half: BottleHalf) -> list[tuple[float, float, float]]:
@@ -161,6 +163,7 @@ def _scene(made: ExtrusionDraft, paths: Sequence[Path]) -> str:
         "name": inline(Path(paths[0]).stem),
         "file": paths[0].name,
         "radius": f"{radius:.6g}",
+        "elements": str(_MORE if made.holes else _ELEMENTS),
         "length": f"{half.length + tail:.6g}",
         "thickness": f"{made.thickness:.6g}",
         "pressure": inline([0.0, *(round_digits(air * share) for share in (_SUPPORT, _SPREAD))])[:-1]
@@ -197,7 +200,7 @@ name = <name>
 shape = "tube"
 radius = <radius>
 length = <length>
-elements = 2000
+elements = <elements>
 symmetry = "half"
 ends = ["guided", "clamped"]  # the machine holds the upper end
 thickness = <thickness>  # m

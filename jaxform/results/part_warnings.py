@@ -138,9 +138,13 @@ def _crossing_elements(result: Result, scene: Scene) -> NDArray[np.int64]:
 
 def _warnings_of_crossing(result: Result, scene: Scene) -> list[str]:
     found = _crossing_elements(result, scene)
+    # Flash folds where it is pinched, up to the seam; what is no part is cut off.
+    triangles = np.asarray(result.triangles)
+    cut_off = np.asarray(result.used) & ~np.asarray(part_elements(result, scene))
+    found = found[~np.isin(triangles[found], triangles[cut_off]).any(1)]
     if not len(found):
         return []
-    nodes = np.asarray(result.triangles)[found[np.argmin(_ratio(result)[found])]]
+    nodes = triangles[found[np.argmin(_ratio(result)[found])]]
     where = format_place(np.asarray(result.positions, float)[nodes].mean(0))
     joins = scene.solver.self_contact
     cause = "" if joins else ", and self-contact is not simulated"

@@ -62,7 +62,7 @@ def test_without_a_process_a_solid_bottle_is_said_to_look_like_one(
 @pytest.mark.parametrize(
     ("profile", "more", "words"),
     [
-        (BOTTLE, ["--process", "extrusion-blow"], "not a process of `new` yet"),
+        (BOTTLE, ["--process", "extrusion-blow", "--drape"], "--drape"),
         (BOTTLE, ["--process", "stretch-blow", "--drape"], "--drape"),
         (BOTTLE, ["--process", "stretch-blow", "--plug", "auto"], "--plug"),
         (BOTTLE, ["--process", "stretch-blow", "--thickness", "-1"], "--thickness"),

@@ -52,7 +52,7 @@ def formed() -> tuple[jaxform.Scene, Result]:
 
 def _by_hand(scene: jaxform.Scene, result: Result, mine: np.ndarray) -> dict[str, float]:
     area, walls = formed_areas(result)[mine], np.asarray(result.element_thickness)[mine]
-    mean = (area @ walls) / area.sum()
+    mean = float((area @ walls) / area.sum())
     mass = float(np.asarray(result.element_volume)[mine].sum() * float(scene.material.density))
     return {"min": walls.min(), "mean": mean, "max": walls.max(), "mass": mass}
 

@@ -1,0 +1,139 @@
+"""`jaxform new --process extrusion-blow`: scenes for bottles of several kinds that run the first time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform.cli.command import main
+from jaxform.mesh import meshes, topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools import molds
+from jaxform.tools.bottles import clip, find_bottle
+
+ROUND = [[0, 6], [20, 5], [32, 0], [42, 3], [45, 10], [45, 190], [30, 250], [13.5, 285], [13.5, 300], [0, 300]]
+HOLLOW = [*ROUND[:-1], [12, 300], [12, 284], [28.5, 249], [43.5, 190], [43.5, 11], [32, 2], [20, 6.5], [0, 7.5]]
+SQUARE = [(0, 28, 20, 0.6), (3, 33, 25, 0.4), (8, 35, 27, 0.35), *((z, 35, 27, 0.35) for z in range(20, 150, 10))]
+SQUARE += [
+    (160, 33, 25, 0.45),
+    (170, 27, 21, 0.6),
+    (180, 18, 17, 0.85),
+    (188, 13, 13, 1),
+    (195, 12, 12, 1),
+    (215, 12, 12, 1),
+]
+
+
+def _square() -> Mesh:
+    """A closed bottle of nearly square section, from rings of a superellipse."""
+    angle = 2 * np.pi * np.arange(64) / 64
+    cosine, sine = np.cos(angle), np.sin(angle)
+    rings = [
+        np.stack([a * np.sign(cosine) * abs(cosine) ** e, b * np.sign(sine) * abs(sine) ** e, 0 * angle + z], axis=1)
+        for z, a, b, e in SQUARE
+    ]
+    here, last = np.arange(64), 64 * (len(rings) - 1)
+    after = (here + 1) % 64
+    bands = [
+        np.stack([here, after, after + 64, here, after + 64, here + 64], 1) + 64 * k for k in range(len(rings) - 1)
+    ]
+    ends = [
+        np.stack([0 * here + last + 64, after, here], 1),
+        np.stack([0 * here + last + 65, here + last, after + last], 1),
+    ]
+    middles = [[0, 0, SQUARE[0][0]], [0, 0, SQUARE[-1][0]]]
+    triangles = np.concatenate([np.concatenate(bands).reshape(-1, 3), *ends])
+    return Mesh(np.concatenate([*rings, middles]), triangles.astype(np.int32), {})
+
+
+def _with_handle() -> Mesh:
+    """The whole of the bottle with a handle, closed at its neck, along y."""
+    half = molds.bottle_half(neck_radius=0.018, hole_center=[0.0085, 0.152], handle_edge=0.03, element_size=0.005)
+    image = Mesh(half.vertices * [1, 1, -1], half.triangles[:, ::-1], {})
+    whole = meshes.weld(meshes.merge([Mesh(half.vertices, half.triangles, {}), image]))
+    rim = np.insert(topology.boundary_edges(whole.triangles), 2, len(whole.positions), axis=1)
+    positions = np.concatenate([whole.positions, [[0.0, 0.23, 0.0]]])
+    return Mesh(1e3 * positions, np.concatenate([whole.triangles, rim]).astype(np.int32), {})
+
+
+def _bottle(kind: str) -> Mesh:
+    if kind == "handle":
+        return _with_handle()
+    if kind == "half":
+        return clip(_square(), np.array([0.0, 1.0, 0.0]), 0.0, keep_below=False)
+    shape = molds.revolved(profile=ROUND if kind == "round" else HOLLOW, segments=48)
+    turn = molds.rotation(np.array([20.0, 35.0, 10.0]))
+    return Mesh(shape.vertices @ turn.T + [5.0, 6.0, 7.0], shape.triangles, {})
+
+
+def _new(folder: Path, bottle: Mesh, *more: str) -> int:
+    meshes.write_stl(folder / "bottle.stl", bottle.positions, bottle.triangles)
+    mold = str(folder / "bottle.stl")
+    return main(["new", str(folder / "new"), "--mold", mold, "--process", "extrusion-blow", "--quiet", *more])
+
+
+@pytest.mark.parametrize("kind", ["round", "half", "handle"])
+def test_scene_runs_the_first_time(tmp_path: Path, kind: str) -> None:
+    assert _new(tmp_path, _bottle(kind)) == 0
+    scene = jaxform.load(tmp_path / "new" / "scene.toml")  # warnings are errors here
+    assert main(["simulate", str(tmp_path / "new" / "scene.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["status"] == "ok" and summary["warnings"] == [] and summary["contact_fraction"] > 0.99
+    assert summary["flash_mass"] > 0.05 * summary["mass"]
+    # The part's mass is that of its mean wall on the mold, but for what corners leave open.
+    assert scene.mold is not None
+    mean = summary["mass"] / (950.0 * find_bottle_area(tmp_path / "new" / "half.stl"))
+    np.testing.assert_allclose(summary["thickness"]["mean"], mean, rtol=0.1)
+
+
+def find_bottle_area(path: Path) -> float:
+    half = meshes.read_mesh(path)
+    corners = half.positions[half.triangles]
+    return float(
+        0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    )
+
+
+@pytest.mark.quick
+def test_of_a_bottle_with_a_wall_the_outside_is_taken() -> None:
+    halves = [find_bottle(meshes.weld(_bottle(kind))) for kind in ("round", "hollow")]
+    for name in ("length", "neck", "area"):
+        one, other = (getattr(half, name) for half in halves)
+        np.testing.assert_allclose(other, one, rtol=2e-3)
+
+
+@pytest.mark.quick
+def test_half_is_completed_and_lies_as_the_whole() -> None:
+    whole, half = find_bottle(_square()), find_bottle(meshes.weld(_bottle("half")))
+    np.testing.assert_allclose([half.length, half.neck, half.area], [whole.length, whole.neck, whole.area], rtol=1e-6)
+    assert np.all(half.mesh.positions[:, 0] >= 0.0)
+    # The parting plane is the one along which the bottle is widest.
+    np.testing.assert_allclose(np.ptp(whole.mesh.positions, axis=0)[:2], [27.0, 70.0], rtol=1e-3)
+
+
+@pytest.mark.quick
+def test_halves_that_differ_and_boxes_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bent = _square()
+    x, y, z = bent.positions.T
+    bent = Mesh(
+        np.stack([x + 0.2 * np.maximum(y, 0.0) * (z < 150), y + 8e-4 * np.minimum(z - 150, 0) ** 2, z], 1),
+        bent.triangles,
+        {},
+    )
+    assert _new(tmp_path, bent) == 2
+    assert "no plane of symmetry" in capsys.readouterr().err
+    box = molds.box_insert()
+    assert _new(tmp_path, Mesh(1e3 * box.vertices, box.triangles, {})) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "--mold" in error
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_handle_beyond_the_parison_is_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    half = molds.bottle_half(neck_radius=0.01, element_size=0.006)
+    assert _new(tmp_path, Mesh(1e3 * half.vertices, half.triangles, {})) == 0
+    assert "the handle may stay empty" in capsys.readouterr().err
