@@ -268,7 +268,11 @@ def _percent(value: float) -> str:
 
 def _pinch(found: Found, folder: Path) -> str:
     ended = ", ".join(f"{name}: {number}" for name, number in found["endings"].items())
-    bad = f" Not all of them do in the seeds {', '.join(map(str, found['bad']))}." if found["bad"] else ""
+    bad = (
+        f" Seeds that miss one of these, or end with a status: {', '.join(map(str, found['bad']))}."
+        if found["bad"]
+        else ""
+    )
     return "\n".join([
         "\n## Mold halves that pinch a tube\n",
         f"{found['count']} random scenes: half a tube, and half a bottle with a handle whose land closes on the "
