@@ -72,6 +72,45 @@ def test_sphere_passes_the_maximum_of_its_pressure() -> None:
     np.testing.assert_allclose(radius, 2.1283753, rtol=5e-3)
 
 
+def test_rubber_sphere_passes_the_maximum_and_the_minimum_of_its_pressure() -> None:
+    """Treloar's rubber by Ogden's law, from a stretch of 1.1 to 5 in one run; P r0 / h0 in closed form.
+
+    Between maximum and minimum a sphere of this rubber becomes a pear, and round again (D. M. Haughton, R. W. Ogden,
+    J. Mech. Phys. Solids 26, 1978); there the closed form of the round one does not hold.
+    """
+    sheet = shapes.sphere(radius=1.0, elements=400, symmetry="quarter")
+    volume = np.linalg.det(sheet.positions[sheet.triangles]).sum() / 6.0
+    unit, ambient = 1e5, 2.0  # stresses in 0.1 MPa
+    moduli, powers = np.array([6.3e5, 1.2e3, -1e4]) / unit, np.array([1.3, 5.0, -2.0])
+    # So that the stretch grows at an even rate.
+    knots = np.linspace(0.0, 800.0, 17)
+    flow = 3.0 * (1.0 + 4.1 * knots / 800.0) ** 2 * 4.1 / 800.0
+    gas = jaxform.make_gas(knots, flow * ambient * volume, temperature=1.0, gas_constant=1.0, ambient_pressure=ambient)
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=jaxform.Ogden(jnp.asarray(moduli), jnp.asarray(powers), jnp.asarray(1.0)),
+        pressure=gas,
+        solver=jaxform.make_solver(end_time=800.0, damping=1.0),
+    )
+    result = jaxform.run(scene)
+    assert int(result.status) == 0 and result.pressures is not None
+    time, pressure = (np.asarray(values) for values in result.pressures)
+    fine = np.linspace(0.0, 800.0, 160_001)
+    mass = 1.0 + np.append(0.0, np.cumsum(np.interp(0.5 * (fine[1:] + fine[:-1]), knots, flow)) * fine[1])
+    stretch = np.cbrt(np.interp(time, fine, mass) * ambient / (ambient + pressure))
+    assert stretch.max() > 5.0
+    pear = (stretch > 2.05) & (stretch < 2.75)
+    chosen = (stretch > 1.1) & (stretch < 5.0) & ~pear
+    each = stretch[chosen, None]
+    exact = 2.0 * np.sum(moduli * (each ** (powers - 3.0) - each ** (-2.0 * powers - 3.0)), axis=1)
+    np.testing.assert_allclose(pressure[chosen] / 0.01, exact, rtol=5e-3)
+    # Maximum and minimum of the closed form.
+    np.testing.assert_allclose(exact.max() * unit, 549_412.308, rtol=1e-3)
+    assert pear.sum() < 0.2 * chosen.sum()
+    late = each[:, 0] > 3.0
+    np.testing.assert_allclose(exact[late].min() * unit, 235_552.871, rtol=1e-3)
+
+
 def test_gradient_with_respect_to_the_mass_flow() -> None:
     scene = _sphere(end_time=20.0, elements=60)
     base = jaxform.run(scene)
