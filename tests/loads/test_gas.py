@@ -106,7 +106,6 @@ def test_rubber_sphere_passes_the_maximum_and_the_minimum_of_its_pressure() -> N
     np.testing.assert_allclose(pressure[chosen] / 0.01, exact, rtol=5e-3)
     # Maximum and minimum of the closed form.
     np.testing.assert_allclose(exact.max() * unit, 549_412.308, rtol=1e-3)
-    assert pear.sum() < 0.2 * chosen.sum()
     late = each[:, 0] > 3.0
     np.testing.assert_allclose(exact[late].min() * unit, 235_552.871, rtol=1e-3)
 
