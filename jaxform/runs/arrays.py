@@ -17,10 +17,8 @@ from jaxform.model.scene import Parison, Refinement
 from jaxform.model.tables import Assembly, Bend, BisectionHierarchy, ElementPairs, ReferenceGeometry, Rim
 from jaxform.sheet.discretization import NEVER, node_room
 from jaxform.tools.mold import Mold
-from jaxform.tools.motion import Motion
+from jaxform.tools.motion import FAR_LATER, Motion
 from jaxform.tools.search import CLASSES, SearchGrid
-
-_FAR_LATER = 1e6  # times as late as the last knot, or as many seconds: where the pressure's other knots are
 
 
 class Order(NamedTuple):
@@ -169,14 +167,14 @@ def pad_pressure(pressure: Loading) -> Loading:
     """The pressure with padded knots long after the last one, of the same value."""
     if not isinstance(pressure, Pressure):
         return pressure
-    time, value = _extend_knots(np.asarray(pressure.time), np.asarray(pressure.value))
+    time, value = extend_knots(np.asarray(pressure.time), np.asarray(pressure.value))
     return dataclasses.replace(pressure, time=time, value=value)
 
 
-def _extend_knots(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def extend_knots(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Knots, and further ones of the last value long after."""
     more = capacities.knot_capacity(len(time)) - len(time)
-    later = time[-1] + _FAR_LATER * max(1.0, abs(float(time[-1]))) * np.arange(1, more + 1)
+    later = time[-1] + FAR_LATER * max(1.0, abs(float(time[-1]))) * np.arange(1, more + 1)
     return np.append(time, later.astype(time.dtype)), np.append(value, np.full(more, value[-1]))
 
 
@@ -200,7 +198,7 @@ def pad_neighbors(neighbors: Any) -> Any:
 
 
 def _pad_motion(motion: Motion) -> Motion:
-    time, displacement = _extend_knots(np.asarray(motion.time), np.asarray(motion.displacement))
+    time, displacement = extend_knots(np.asarray(motion.time), np.asarray(motion.displacement))
     return dataclasses.replace(motion, time=time, displacement=displacement)
 
 

@@ -287,15 +287,16 @@ def is_at_rest(state: State, scene: Scene) -> jax.Array:
 def immobile_nodes(state: State, scene: Scene) -> jax.Array:
     """Nodes (n_node,) that never move again: they are clamped, or stick to a tool that rests from now on.
 
-    A node has come to rest with its tool once its velocity is 0, at the earliest in the step after the tool's last.
+    A node rests with its tool from the step after the tool's last on. Times decide that, not velocities or displacements,
+    which may be designed; and a window may end where the tool does: a knot that is a little later decides the same.
     """
     nodes = state.nodes
     immobile = nodes.stuck
     for number, surface in enumerate(scene.surfaces):
         motion = surface.mold.motion
         if motion is not None:
-            carried = (nodes.wall != 0) & ((state.time < motion.last_time) | jnp.any(nodes.velocities != 0.0, axis=0))
-            immobile = immobile & ~(carried & on_surface(nodes.tool, number))
+            moving = state.time < motion.last_time + state.control.last_length
+            immobile = immobile & ~(moving & (nodes.wall != 0) & on_surface(nodes.tool, number))
     return immobile
 
 

@@ -16,6 +16,8 @@ from jaxform.core.ranges import as_numbers, check
 from jaxform.mechanics.membrane import Vector
 
 FASTEST = 3.0  # times the mean speed between two knots, at most: a cubic is no steeper
+FAR_LATER = 1e6
+"""Times as late as the last knot, or as many seconds: where the knots of the padding are."""
 _SLACK = 16  # roundings of a time
 
 
@@ -69,8 +71,13 @@ class Motion:
 
     @property
     def last_time(self) -> jax.Array:
-        """The time [s] from which on it rests for good: that of the last knot before which it moves."""
-        return jnp.max(jnp.where(jnp.diff(self.displacement) != 0.0, self.time[1:], self.time[0]))
+        """The time [s] from which on it rests for good: that of its last knot, but for those of the padding.
+
+        Displacements do not count: a later knot with the same one may be designed, and has a derivative.
+        """
+        gap = FAR_LATER * jnp.maximum(1.0, jnp.abs(self.time[:-1]))
+        padded = jax.lax.cummax((jnp.diff(self.time) >= 0.5 * gap).astype(jnp.int32)) > 0
+        return jnp.max(jnp.where(padded, self.time[0], self.time[1:]))
 
     def frame(self, begin: jax.Array, end: jax.Array) -> ToolFrame:
         """The tool's frame in a step from one time to another [s]."""

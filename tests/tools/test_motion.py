@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -20,6 +21,7 @@ from jaxform.io.output import Frames
 from jaxform.io.report import stored_results
 from jaxform.prepare import window_budget
 from jaxform.results.result import Result, drop_unused
+from jaxform.runs.arrays import extend_knots
 
 RADIUS, THICKNESS, RISE = 0.1, 1e-3, 0.05
 FILE = """
@@ -202,7 +204,7 @@ def test_what_is_no_motion_is_refused_in_words(direction: list, time: list, disp
 
 
 def test_a_mold_must_move_along_the_symmetry_planes(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"across a symmetry plane \(normal to x, y\)"):
+    with pytest.raises(InputError, match=r"across a symmetry plane \(normal to x\)"):
         plug(tmp_path, direction="[1.0, 0.0, 1.0]")
     with pytest.raises(
         InputError, match=r"plug\.toml.*mold\.motion\.displacement.*does not start with a displacement of 0"
@@ -227,3 +229,14 @@ def test_frames_show_the_mold_where_it_is(formed: tuple[jaxform.Scene, Result], 
         tmp_path, stored_results._part(tmp_path / listed[1]["file"]), float(result.time)
     )
     assert (len(shown), count) == (1, 2)
+
+
+@pytest.mark.quick
+def test_a_motion_rests_from_its_last_knot_on_whatever_the_displacements_are() -> None:
+    held = jaxform.make_motion([0, 0, 1], [0.0, 1.0, 3.0], [0.0, 0.5, 0.5])
+    # A later knot of the same displacement may be designed; those of the padding may not.
+    assert float(held.last_time) == 3.0
+    time, displacement = extend_knots(np.asarray(held.time), np.asarray(held.displacement))
+    assert len(time) > 3
+    padded = dataclasses.replace(held, time=jnp.asarray(time), displacement=jnp.asarray(displacement))
+    assert float(padded.last_time) == 3.0
