@@ -287,8 +287,9 @@ def is_at_rest(state: State, scene: Scene) -> jax.Array:
 def immobile_nodes(state: State, scene: Scene) -> jax.Array:
     """Nodes (n_node,) that never move again: they are clamped, or stick to a tool that rests from now on.
 
-    A node rests with its tool from the step after the tool's last on. Times decide that, not velocities or displacements,
-    which may be designed; and a window may end where the tool does: a knot that is a little later decides the same.
+    A node rests with its tool from the step after the tool's last on. Times decide that, not velocities or
+    displacements, which may be designed; and a window may end where the tool does: a knot that is a little later
+    decides the same.
     """
     nodes = state.nodes
     immobile = nodes.stuck
