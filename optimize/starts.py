@@ -111,11 +111,11 @@ def _collect(
     journal: Journal,
 ) -> tuple[Design | None, list[Row], Row | None]:
     """The best design of searches as they end, their rows, and the first row of the first one's history."""
-    best, first_row, rows = None, None, []
+    best, first_row, rows, known = None, None, [], 0
     try:
         for place, outcome in outcomes:
             design, replayed = outcome.value or (None, 0)
-            journal.replayed += replayed if place else 0
+            known += replayed
             row = _row(place + 1, design, outcome)
             rows.append(row)
             if design is not None:
@@ -130,6 +130,8 @@ def _collect(
         if best is None:
             raise
         best = dataclasses.replace(best, message="interrupted", stopped_by="interrupted")
+    # Only now: the first start may read on in this journal in another thread.
+    journal.replayed = max(known, journal.replayed)
     return best, rows, first_row
 
 

@@ -174,9 +174,12 @@ def test_a_client_that_is_killed_goes_on_where_it_was(folder: Path, swept: Path)
 def test_an_interruption_says_how_to_go_on(folder: Path, swept: Path) -> None:
     out = folder / "interrupted"
     known = os.environ | {"PYTHONPATH": str(ROOT)}
-    line = [sys.executable, "-m", "jaxform.cli", *_arguments(folder, out, "--workers", "1")]
+    # So many rows that the sweep does not end before it is interrupted.
+    table = folder / "long.csv"
+    table.write_text("\n".join([HEADER, *(f"0.05,0.05,{1e-3 + 1e-6 * k}," for k in range(300))]) + "\n")
+    line = [sys.executable, "-m", "jaxform.cli", "sweep", str(table), *_arguments(folder, out, "--workers", "1")[2:]]
     with subprocess.Popen(line, env=known, stderr=subprocess.PIPE, text=True, start_new_session=True) as client:
-        # At the first row: on a busy machine the others are soon there, too.
+        # At the first row.
         while not (out / "results.csv").exists() or len(_rows(out)) < 1:
             assert client.poll() is None
             time.sleep(0.001)
