@@ -17,6 +17,7 @@ from jaxform.io.scene_rewriting import inline
 from jaxform.io.unit_checks import Units, guess_units
 from jaxform.mesh import meshes
 from jaxform.mesh.meridian import make_meridian
+from jaxform.mesh.meshes import Mesh
 from jaxform.tools import footprint, revolution
 from jaxform.tools.revolution import Revolution
 
@@ -77,11 +78,8 @@ def draft_bottle(paths: Sequence[Path], scale: float | None = None, thickness: f
     Raises:
         InputError: A file cannot be read, or is no round bottle with a neck.
     """
-    parts = [meshes.read_mesh(path) for path in paths]
-    raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
-    extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
-    units = guess_units(extent, scale)
-    body = revolution.find_revolution(footprint.weld_mold(raw.positions * units.scale, raw.triangles))
+    surface, units, extent = read_bottle(paths, scale)
+    body = revolution.find_revolution(surface)
     neck = _neck_radius(body)
     if neck > _NARROW * body.radius:
         problem = (
@@ -99,6 +97,15 @@ def draft_bottle(paths: Sequence[Path], scale: float | None = None, thickness: f
     shoulder = _shoulder(body, neck)
     along = (body.length - shoulder) / (float(preform[:, 1].max()) - shoulder)
     return BottleDraft(units, extent, body, preform, thick, thick / gain, around, along)
+
+
+def read_bottle(paths: Sequence[Path], scale: float | None) -> tuple[Mesh, Units, Array]:
+    """The welded surface [m] in some files, their units, and the sides of its bounding box in these (3,)."""
+    parts = [meshes.read_mesh(path) for path in paths]
+    raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
+    extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
+    units = guess_units(extent, scale)
+    return footprint.weld_mold(raw.positions * units.scale, raw.triangles), units, extent
 
 
 def _neck_radius(body: Revolution) -> float:
@@ -129,7 +136,11 @@ def _shoulder(body: Revolution, neck: float) -> float:
 
 def write_bottle(folder: Path, paths: Sequence[Path], made: BottleDraft) -> list[Path]:
     """Writes scene.toml and study.toml into a folder that is there, and returns their paths."""
-    texts = {"scene.toml": _scene(made, paths), "study.toml": _STUDY}
+    return write_texts(folder, {"scene.toml": _scene(made, paths), "study.toml": _STUDY})
+
+
+def write_texts(folder: Path, texts: dict[str, str]) -> list[Path]:
+    """Writes texts by file name into a folder that is there, and returns their paths."""
     for name, text in texts.items():
         with atomic_path(folder / name) as fresh:
             fresh.write_text(text, encoding="utf-8")
@@ -138,9 +149,8 @@ def write_bottle(folder: Path, paths: Sequence[Path], made: BottleDraft) -> list
 
 def describe_bottle(made: BottleDraft) -> Iterator[str]:
     """Lines on what was found and chosen."""
-    box, body = " x ".join(f"{side:.4g}" for side in made.size), made.body
-    others = made.units.others or "--scale overrides this"
-    yield f"the bottle's bounding box is {box} in its file's units, assumed to be {made.units.name} ({others})"
+    body = made.body
+    yield describe_box(made.units, made.size)
     (x, y, z), (a, b, c) = np.round(body.origin / made.units.scale, 4) + 0.0, np.round(body.axis, 4) + 0.0
     yield f"it is round about the axis from its neck at ({x:g}, {y:g}, {z:g}) along ({a:g}, {b:g}, {c:g}) of the file"
     yield (
@@ -153,6 +163,12 @@ def describe_bottle(made: BottleDraft) -> Iterator[str]:
         f"{made.around:.2g} times around and {made.along:.2g} along, to a mean wall of {1e3 * made.wall:.2g} mm"
     )
     yield "guessed: preform, rod, air and times; the material is a placeholder"
+
+
+def describe_box(units: Units, size: Array) -> str:
+    """The bounding box of a bottle, of this size (3,) in its file's units, and what these were taken for."""
+    box, others = " x ".join(f"{side:.4g}" for side in size), units.others or "--scale overrides this"
+    return f"the bottle's bounding box is {box} in its file's units, assumed to be {units.name} ({others})"
 
 
 def _points(points: Array) -> str:
@@ -194,7 +210,11 @@ def _scene(made: BottleDraft, paths: Sequence[Path]) -> str:
         "start": f"{start:.6g}",
         "stroke": f"{stroke:.6g}",
     }
-    text = _SCENE
+    return fill_template(_SCENE, values)
+
+
+def fill_template(text: str, values: dict[str, str]) -> str:
+    """A text in which each <key> is its value."""
     for key, value in values.items():
         text = text.replace(f"<{key}>", value)
     return text

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from jaxform.core.disk import atomic_path
 from jaxform.core.errors import warn_of
+from jaxform.io.bottle_wizard import describe_box, fill_template, read_bottle, write_texts
 from jaxform.io.scene_choices import round_digits
 from jaxform.io.scene_rewriting import inline
-from jaxform.io.unit_checks import Units, guess_units
+from jaxform.io.unit_checks import Units
 from jaxform.mesh import meshes, topology
-from jaxform.tools import bottles, footprint
+from jaxform.tools import bottles
 from jaxform.tools.bottles import BottleHalf
 
 Array = NDArray[np.float64]
@@ -30,7 +31,7 @@ _TAIL, _LAND = 0.12, 0.2  # of the bottle's length: parison below the bottom, an
 _GAP = 0.15  # of the parison's radius, between it and the mold half at first
 _REACH = 0.2  # of a handle's width, over which the flattened parison is to lie
 _ABOVE = 1e-4  # of the length, between the mold and the blow pin
-_C, _ALPHA, _DENSITY = 2.0e5, 0.5, 950.0  # of the placeholder
+_C, _DENSITY = 2.0e5, 950.0  # of the placeholder
 _SUPPORT, _SPREAD, _BLOW, _LEAST = 0.07, 3.5, 28.0, 8.0e5  # air, over c h / r; and the blow in Pa at least
 
 
@@ -76,11 +77,8 @@ def draft_extrusion(
     Raises:
         InputError: A file cannot be read, or is no bottle with a neck and a plane of symmetry.
     """
-    parts = [meshes.read_mesh(path) for path in paths]
-    raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
-    extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
-    units = guess_units(extent, scale)
-    half = bottles.find_bottle(footprint.weld_mold(raw.positions * units.scale, raw.triangles))
+    surface, units, extent = read_bottle(paths, scale)
+    half = bottles.find_bottle(surface)
     holes = _find_holes(half)
     radius = round_digits((_WIDE_FIT if holes else _FIT) * half.neck)
     gain = half.area / (math.pi * radius * half.length)
@@ -121,20 +119,16 @@ def warn_of_handles(made: ExtrusionDraft) -> None:
 
 def write_extrusion(folder: Path, paths: Sequence[Path], made: ExtrusionDraft) -> list[Path]:
     """Writes scene.toml, study.toml and the mold half into a folder that is there, and returns their paths."""
-    texts = {"scene.toml": _scene(made, paths), "study.toml": _study(made)}
-    for name, text in texts.items():
-        with atomic_path(folder / name) as fresh:
-            fresh.write_text(text, encoding="utf-8")
+    files = write_texts(folder, {"scene.toml": _scene(made, paths), "study.toml": _study(made)})
     with atomic_path(folder / HALF) as fresh:
         meshes.write_stl(fresh, made.half.mesh.positions, made.half.mesh.triangles)
-    return [folder / name for name in (*texts, HALF)]
+    return [*files, folder / HALF]
 
 
 def describe_extrusion(made: ExtrusionDraft) -> Iterator[str]:
     """Lines on what was found and chosen."""
-    box, half = " x ".join(f"{side:.4g}" for side in made.size), made.half
-    others = made.units.others or "--scale overrides this"
-    yield f"the bottle's bounding box is {box} in its file's units, assumed to be {made.units.name} ({others})"
+    half = made.half
+    yield describe_box(made.units, made.size)
     (a, b, c), (d, e, f) = (np.round(row, 4) + 0.0 for row in (half.rotation[2], half.rotation[0]))
     yield (
         f"its neck is at the end along ({a:g}, {b:g}, {c:g}) of the file; the normal of its parting plane is along "
@@ -179,15 +173,12 @@ def _scene(made: ExtrusionDraft, paths: Sequence[Path]) -> str:
         # A little above the mold, whose file is rounded.
         "above": f"{half.length * (1.0 + _ABOVE) + tail:.6g}",
     }
-    text = _SCENE
-    for key, value in values.items():
-        text = text.replace(f"<{key}>", value)
-    return text
+    return fill_template(_SCENE, values)
 
 
 def _study(made: ExtrusionDraft) -> str:
     bounds = inline([round_digits(0.3 * made.thickness), round_digits(2.5 * made.thickness)])
-    return _STUDY.replace("<bounds>", bounds)
+    return fill_template(_STUDY, {"bounds": bounds})
 
 
 _SCENE = """# Written by `jaxform new --process extrusion-blow` for <file>. SI units everywhere: m, s, kg, Pa.

@@ -215,13 +215,13 @@ def pack(folder: Path) -> bytes:
 
 def measures_of(summary: dict[str, Any]) -> dict[str, Any]:
     """The columns of a row from the contents of summary.json; None for what is not known."""
-    wall, sheet = summary["thickness"], summary.get("sheet_mass")
+    wall = summary["thickness"]
     found = {
         "wall_min": wall["min"],
         "wall_mean": wall["mean"],
         "wall_cv": wall["cv"],
         "mass": summary["mass"],
-        "flash_mass": None if sheet is None else sheet - summary["mass"],
+        "flash_mass": summary.get("flash_mass"),
         "contact_fraction": summary["contact_fraction"],
         "gap_max": summary["gap_max"],
         "warnings": len(summary["warnings"]),

@@ -147,8 +147,7 @@ def _join(shape: MoldShape, plane: PartingPlane, flat: Array) -> tuple[MoldShape
     places = np.insert(flat.reshape(-1, 2), plane.axis, plane.level, axis=1)
     vertices = np.concatenate([shape.vertices, places])
     triangles = len(shape.vertices) + np.arange(len(places)).reshape(-1, 3)
-    found, index = np.unique(vertices, axis=0, return_inverse=True)
-    del found
+    _, index = np.unique(vertices, axis=0, return_inverse=True)
     # Each place has the number of the first vertex that lies there.
     first = np.full(index.max() + 1, len(vertices))
     np.minimum.at(first, index, np.arange(len(vertices)))
