@@ -184,14 +184,14 @@ def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, t
     pixel = float((high - low).max()) / _PIXELS
     width, height = (max(1, round(float(extent) / pixel)) for extent in high - low)
     level, rise = np.full(width * height, -np.inf), sheet @ axis
-    for found in raster.rasterize((flat - low) / pixel, width, height):
-        np.maximum.at(level, found.pixel, found.interpolate(rise))
+    for _, covered, interpolate in raster.rasterize((flat - low) / pixel, width, height):
+        np.maximum.at(level, covered, interpolate(rise))
     seen, near, along = np.isfinite(level), _FLAT * pixel * _PIXELS, walls @ axis
     before, behind = np.zeros_like(seen), np.zeros_like(seen)
-    for found in raster.rasterize((wall - low) / pixel, width, height):
-        away = found.interpolate(along) - level[found.pixel]
-        before[found.pixel[away >= -near]] = True
-        behind[found.pixel[away < -near]] = True
+    for _, covered, interpolate in raster.rasterize((wall - low) / pixel, width, height):
+        away = interpolate(along) - level[covered]
+        before[covered[away >= -near]] = True
+        behind[covered[away < -near]] = True
     whole = max(1, int(seen.sum()))
     open_there = np.pad((seen & ~before).reshape(height, width), 1)
     away = masks.distance(open_there)[1:-1, 1:-1].ravel()
@@ -415,10 +415,10 @@ def _region_before_mold(sheet: Array, mold: Array, level: float) -> Callable[[Ar
     pixel = float((high - low).max()) / _LEAKS_PIXELS
     width, height = (max(1, round(float(extent) / pixel)) for extent in high - low)
     covered, before = np.zeros(width * height, bool), np.zeros(width * height, bool)
-    for found in raster.rasterize((sheet - low) / pixel, width, height):
-        covered[found.pixel] = True
-    for found in raster.rasterize((mold[..., :2] - low) / pixel, width, height):
-        before[found.pixel[found.interpolate(mold[..., 2]) >= level]] = True
+    for _, inside, _ in raster.rasterize((sheet - low) / pixel, width, height):
+        covered[inside] = True
+    for _, inside, interpolate in raster.rasterize((mold[..., :2] - low) / pixel, width, height):
+        before[inside[interpolate(mold[..., 2]) >= level]] = True
     region = (covered & before).reshape(height, width)
 
     def over(places: Array) -> Mask:

@@ -199,15 +199,15 @@ def _image(surface: DrawnSurface, corners: Array, depth: Array, width: int, heig
     return image.reshape(height, width, 4)
 
 
-def _is_behind(surface: DrawnSurface) -> Callable[[raster.Hits], NDArray[np.bool_]]:
-    """A function for the mask of a cut-open surface's hits that are not between the eye and both planes."""
+def _is_behind(surface: DrawnSurface) -> Callable[[raster.Interpolation], NDArray[np.bool_]]:
+    """A function for the mask of a cut-open surface's pixels that are not between the eye and both planes."""
 
-    def is_visible(found: raster.Hits) -> NDArray[np.bool_]:
-        front = np.ones(len(found.triangle), bool)
-        for axis, place in surface.open_at or ():
-            # As the triangles are small, perspective hardly bends them.
-            front &= TO_EYE[axis] * (found.interpolate(surface.faces[:, :, axis]) - place) > 0
-        return ~front
+    def is_visible(interpolate: raster.Interpolation) -> NDArray[np.bool_]:
+        # As the triangles are small, perspective hardly bends them.
+        front = [
+            TO_EYE[axis] * (interpolate(surface.faces[:, :, axis]) - place) > 0 for axis, place in surface.open_at or ()
+        ]
+        return ~np.logical_and.reduce(front)
 
     return is_visible
 

@@ -7,7 +7,8 @@ are in a physical group, parametric nodes and most files of version 4.0.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,27 +34,17 @@ _TRIANGLE, _QUADRILATERAL = 2, 3
 _SECTION = re.compile(rb"\$([A-Za-z]\w*)[ \t]*\r?\n?")
 
 
-@dataclass
-class _MshContent:
-    """The content read so far; elements by type, as their numbers (n,) and nodes (n, k)."""
-
-    version: float = 1.0
-    order: str = ""  # of bytes; "" for text
-    size: int = 8
-    numbers: list[Array] = field(default_factory=list)
-    points: list[Array] = field(default_factory=list)
-    elements: dict[int, list[tuple[Array, Array]]] = field(default_factory=dict)
-    data: dict[str, dict[str, tuple[Array, Array]]] = field(default_factory=lambda: {"node": {}, "element": {}})
-
-    def add(self, kind: int, numbers: Array, nodes: Array) -> None:
-        self.elements.setdefault(kind, []).append((numbers.astype(np.int64), nodes.astype(np.int64)))
-
-
 class _TextSection:
-    """The numbers of a text section."""
+    """The numbers of a text section of a file of some version."""
 
-    def __init__(self, content: bytes) -> None:
-        self.numbers, self.place = np.array(content.split()).astype(np.float64), 0
+    binary = False
+
+    def __init__(self, content: bytes, version: float) -> None:
+        self.content, self.version, self.place = content, version, 0
+
+    @cached_property
+    def numbers(self) -> Array:
+        return np.array(self.content.split()).astype(np.float64)
 
     def take(self, count: int, kind: str) -> Array:
         if not 0 <= count <= len(self.numbers) - self.place:
@@ -66,8 +57,10 @@ class _TextSection:
 class _BinarySection:
     """The numbers of a binary section, whose length follows from these numbers alone."""
 
-    def __init__(self, content: bytes, place: int, order: str, size: int) -> None:
-        self.content, self.place, self.order, self.size = content, place, order, size
+    binary = True
+
+    def __init__(self, content: bytes, place: int, version: float, order: str, size: int) -> None:
+        self.content, self.place, self.version, self.order, self.size = content, place, version, order, size
 
     def take(self, count: int, kind: str) -> Array:
         dtype = np.dtype(self.order + (f"u{self.size}" if kind == "size" else kind))
@@ -94,75 +87,71 @@ def read_msh(content: bytes, name: str) -> Faces:
     Raises:
         InputError: It is of another version, has curved faces or no faces, or its end is cut off.
     """
-    read, place = _MshContent(), 0
-    found = False
+    version, order, size = 1.0, "", 8
+    nodes: list[tuple[Array, Array]] = []
+    elements: list[tuple[int, Array, Array]] = []
+    data: dict[str, dict[str, tuple[Array, Array]]] = {"NodeData": {}, "ElementData": {}}
+    place, found = 0, False
     while head := _SECTION.search(content, place):
         name, place = head[1].decode(), head.end()
         if name[:3].upper() == "END":
             continue
         found = found or name in ("MeshFormat", "NOD")
-        place = _section(content, place, name, read)
+        end = _section_end(content, place, name)
+        if name == "MeshFormat":
+            version, order, size = _format(content[place:end])
+        text = _TextSection(content[place:end], version)
+        section = _BinarySection(content, place, version, order, size) if order else text
+        place = end
+        if name in ("Nodes", "NOD"):
+            nodes += _nodes(section)
+        elif name == "ParametricNodes":
+            nodes += _parametric_nodes(section)
+        elif name in ("Elements", "ELM"):
+            elements += _elements(section)
+        elif name in data:
+            data[name] |= _binary_data(section) if isinstance(section, _BinarySection) else _text_data(section)
+        else:
+            continue
+        place = section.place if isinstance(section, _BinarySection) else end
     if not found:
         raise InputError("has no section $MeshFormat, as an MSH file of Gmsh has", "save it from Gmsh as MSH")
-    return _faces(read)
+    return _faces(nodes, elements, data)
 
 
-def _section(content: bytes, place: int, name: str, read: _MshContent) -> int:
-    """Reads the section at a place in the content, and returns the place behind it."""
+def _section_end(content: bytes, place: int, name: str) -> int:
+    """Where the text of a section ends that begins at a place in the content."""
     end = content.find(b"$End" + name.encode() if name not in ("NOD", "ELM") else b"$END" + name.encode(), place)
     if end < 0:
         raise InputError(f"is truncated: its section ${name} has no end", "export or copy it again")
-    if name == "MeshFormat":
-        _format(content[place:end], read)
-        return end
-    reader = {
-        "Nodes": _nodes,
-        "ParametricNodes": _parametric_nodes,
-        "NOD": _nodes,
-        "Elements": _elements,
-        "ELM": _elements,
-        "NodeData": _node_data,
-        "ElementData": _element_data,
-    }.get(name)
-    if reader is None:
-        return end
-    if not read.order:
-        if name.endswith("NodeData") or name == "ElementData":
-            _text_data(content[place:end], name, read)
-        elif read.version < 4.0 and reader in (_nodes, _parametric_nodes):
-            _text_nodes_v2(content[place:end], read)
-        else:
-            reader(_TextSection(content[place:end]), read)
-        return end
-    binary = _BinarySection(content, place, read.order, read.size)
-    reader(binary, read)
-    return binary.place
+    return end
 
 
-def _format(section: bytes, read: _MshContent) -> None:
+def _format(section: bytes) -> tuple[float, str, int]:
+    """The version, the order of bytes ("" for text), and the size of large integers."""
     words = section.split(b"\n", 1)
-    version, binary, size = words[0].split()[:3]
-    read.version, read.size = float(version), int(size)
-    if not (2.0 <= read.version < 3.0 or 4.0 <= read.version < 4.2) or read.size not in (4, 8):
-        problem = f"is of version {version.decode('latin-1')} of the MSH format, which is not read"
+    number, binary, width = words[0].split()[:3]
+    version, size = float(number), int(width)
+    if not (2.0 <= version < 3.0 or 4.0 <= version < 4.2) or size not in (4, 8):
+        problem = f"is of version {number.decode('latin-1')} of the MSH format, which is not read"
         raise InputError(problem, "save it as version 2.2 or 4.1 (Mesh.MshFileVersion)")
-    if int(binary):
-        one = words[1][:4]
-        read.order = {b"\1\0\0\0": "<", b"\0\0\0\1": ">"}[bytes(one)]
+    order = {b"\1\0\0\0": "<", b"\0\0\0\1": ">"}[bytes(words[1][:4])] if int(binary) else ""
+    return version, order, size
 
 
-def _count(numbers: Any, read: _MshContent) -> int:
+def _count(numbers: Any) -> int:
     """The number at the head of a section: in binary files of version 2 a line of text."""
     if isinstance(numbers, _BinarySection):
         return int(numbers.line())
     return int(numbers.take(1, "i4")[0])
 
 
-def _nodes(numbers: Any, read: _MshContent) -> None:
-    if read.version < 4.0:
-        _numbered_nodes(numbers, _count(numbers, read), 3, read)
+def _nodes(numbers: Any) -> Iterator[tuple[Array, Array]]:
+    """Numbers (n,) and positions (n, 3) of nodes, block by block."""
+    if numbers.version < 4.0:
+        yield _numbered_nodes(numbers, _count(numbers), 3) if numbers.binary else _text_nodes_v2(numbers.content)
         return
-    old = read.version < 4.1
+    old = numbers.version < 4.1
     blocks = int(numbers.take(2 if old else 4, "size")[0])
     for _ in range(blocks):
         head = numbers.take(3, "i4")
@@ -170,40 +159,39 @@ def _nodes(numbers: Any, read: _MshContent) -> None:
         count = int(numbers.take(1, "size")[0])
         width = 3 + (max(dimension, 0) if parametric else 0)
         if old:
-            _numbered_nodes(numbers, count, width, read)
-            continue
-        read.numbers.append(numbers.take(count, "size"))
-        read.points.append(numbers.take(count * width, "f8").reshape(count, width)[:, :3])
+            yield _numbered_nodes(numbers, count, width)
+        else:
+            labels = numbers.take(count, "size")
+            yield labels, numbers.take(count * width, "f8").reshape(count, width)[:, :3]
 
 
-def _numbered_nodes(numbers: Any, count: int, width: int, read: _MshContent) -> None:
+def _numbered_nodes(numbers: Any, count: int, width: int) -> tuple[Array, Array]:
     """Nodes that are a number and coordinates each, of which the first three are those in space."""
     if isinstance(numbers, _BinarySection):
         item = np.dtype([("number", numbers.order + "i4"), ("place", numbers.order + "f8", (width,))])
         rows = np.frombuffer(numbers.take(count * item.itemsize, "u1").astype(np.uint8).tobytes(), item)
-        read.numbers.append(rows["number"].astype(np.int64))
-        read.points.append(rows["place"][:, :3].astype(np.float64))
-        return
+        return rows["number"].astype(np.int64), rows["place"][:, :3].astype(np.float64)
     rows = numbers.take(count * (1 + width), "f8").reshape(count, 1 + width)
-    read.numbers.append(rows[:, 0].astype(np.int64))
-    read.points.append(rows[:, 1:4])
+    return rows[:, 0].astype(np.int64), rows[:, 1:4]
 
 
-def _text_nodes_v2(section: bytes, read: _MshContent) -> None:
+def _text_nodes_v2(section: bytes) -> tuple[Array, Array]:
     """Nodes in text, a line each: number, x, y, z, and where they are parametric entity and parameters."""
     count, *rows = [line.split(None, 4)[:4] for line in section.split(b"\n") if line.strip()]
     table = np.array(rows[: int(count[0])]).astype(np.float64).reshape(-1, 4)
     if len(table) < int(count[0]):
         raise _truncation_error()
-    read.numbers.append(table[:, 0].astype(np.int64))
-    read.points.append(table[:, 1:])
+    return table[:, 0].astype(np.int64), table[:, 1:]
 
 
-def _parametric_nodes(numbers: _BinarySection, read: _MshContent) -> None:
-    """Binary nodes of version 2 with, after x, y, z, dimension and number of their entity, and its parameters."""
-    for _ in range(_count(numbers, read)):
-        read.numbers.append(numbers.take(1, "i4"))
-        read.points.append(numbers.take(3, "f8")[None])
+def _parametric_nodes(numbers: Any) -> Iterator[tuple[Array, Array]]:
+    """Nodes of version 2 with, after x, y, z, dimension and number of their entity, and its parameters."""
+    if not numbers.binary and numbers.version < 4.0:
+        yield _text_nodes_v2(numbers.content)
+        return
+    for _ in range(_count(numbers)):
+        label = numbers.take(1, "i4")
+        yield label, numbers.take(3, "f8")[None]
         numbers.take({1: 1, 2: 2}.get(int(numbers.take(2, "i4")[0]), 0), "f8")
 
 
@@ -213,69 +201,62 @@ def _width(kind: int) -> int:
     return _NODES[kind]
 
 
-def _elements(numbers: Any, read: _MshContent) -> None:
-    if read.version < 4.0:
-        if isinstance(numbers, _BinarySection):
-            _binary_elements_v2(numbers, read)
-        else:
-            _text_elements_v2(numbers, read)
+def _elements(numbers: Any) -> Iterator[tuple[int, Array, Array]]:
+    """Type, numbers (n,) and nodes (n, k) of elements, block by block."""
+    if numbers.version < 4.0:
+        yield from _binary_elements_v2(numbers) if numbers.binary else _text_elements_v2(numbers)
         return
-    old = read.version < 4.1
+    old = numbers.version < 4.1
     blocks = int(numbers.take(2 if old else 4, "size")[0])
     for _ in range(blocks):
         kind = int(numbers.take(3, "i4")[2])
         count, width = int(numbers.take(1, "size")[0]), 1 + _width(kind)
         rows = numbers.take(count * width, "i4" if old else "size").reshape(count, width)
-        read.add(kind, rows[:, 0], rows[:, 1:])
+        yield kind, rows[:, 0], rows[:, 1:]
 
 
-def _binary_elements_v2(numbers: _BinarySection, read: _MshContent) -> None:
-    left = _count(numbers, read)
+def _binary_elements_v2(numbers: _BinarySection) -> Iterator[tuple[int, Array, Array]]:
+    left = _count(numbers)
     while left > 0:
         kind, count, tags = (int(number) for number in numbers.take(3, "i4"))
         if count < 1 or tags < 0:
             raise _truncation_error()
         width = 1 + tags + _width(kind)
         rows = numbers.take(count * width, "i4").reshape(count, width)
-        read.add(kind, rows[:, 0], rows[:, 1 + tags :])
+        yield kind, rows[:, 0], rows[:, 1 + tags :]
         left -= count
 
 
-def _text_elements_v2(numbers: _TextSection, read: _MshContent) -> None:
+def _text_elements_v2(numbers: _TextSection) -> Iterator[tuple[int, Array, Array]]:
     rows: dict[int, list[Array]] = {}
-    for _ in range(_count(numbers, read)):
+    for _ in range(_count(numbers)):
         number, kind, tags = numbers.take(3, "i4")
-        if read.version < 2.0:  # physical group, entity, number of nodes
+        if numbers.version < 2.0:  # physical group, entity, number of nodes
             numbers.take(2, "i4")
         elif tags > 0:
             numbers.take(int(tags), "i4")
         rows.setdefault(int(kind), []).append(np.append(number, numbers.take(_width(int(kind)), "i4")))
     for kind, found in rows.items():
         table = np.array(found)
-        read.add(kind, table[:, 0], table[:, 1:])
+        yield kind, table[:, 0], table[:, 1:]
 
 
-def _text_data(section: bytes, name: str, read: _MshContent) -> None:
-    lines = section.split(b"\n")
+def _text_data(section: _TextSection) -> dict[str, tuple[Array, Array]]:
+    """Numbers (n,) and values (n,) by the name of the data; none where it has several components."""
+    lines = section.content.split(b"\n")
     strings = int(lines[0])
     label = lines[1].strip().strip(b'"').decode("latin-1") if strings else ""
-    numbers = _TextSection(b"\n".join(lines[1 + strings :]))
+    numbers = _TextSection(b"\n".join(lines[1 + strings :]), section.version)
     numbers.take(int(numbers.take(1, "i4")[0]), "f8")
     components, count = (int(number) for number in numbers.take(int(numbers.take(1, "i4")[0]), "i4")[1:3])
-    if components == 1:
-        rows = numbers.take(2 * count, "f8").reshape(count, 2)
-        read.data["node" if name == "NodeData" else "element"][label] = rows[:, 0].astype(np.int64), rows[:, 1]
+    if components != 1:
+        return {}
+    rows = numbers.take(2 * count, "f8").reshape(count, 2)
+    return {label: (rows[:, 0].astype(np.int64), rows[:, 1])}
 
 
-def _node_data(numbers: _BinarySection, read: _MshContent) -> None:
-    _binary_data(numbers, read, "node")
-
-
-def _element_data(numbers: _BinarySection, read: _MshContent) -> None:
-    _binary_data(numbers, read, "element")
-
-
-def _binary_data(numbers: _BinarySection, read: _MshContent, where: str) -> None:
+def _binary_data(numbers: _BinarySection) -> dict[str, tuple[Array, Array]]:
+    """Numbers (n,) and values (n,) by the name of the data; none where it has several components or no name."""
     strings = [numbers.line() for _ in range(min(int(numbers.line()), 100))]
     for _ in range(min(int(numbers.line()), 100)):
         numbers.line()
@@ -283,35 +264,38 @@ def _binary_data(numbers: _BinarySection, read: _MshContent, where: str) -> None
     components, count = integers[1:3]
     item = np.dtype([("number", numbers.order + "i4"), ("value", numbers.order + "f8", (components,))])
     rows = np.frombuffer(numbers.take(count * item.itemsize, "u1").astype(np.uint8).tobytes(), item)
-    if components == 1 and strings:
-        label = strings[0].strip().strip(b'"').decode("latin-1")
-        read.data[where][label] = rows["number"].astype(np.int64), rows["value"][:, 0].astype(np.float64)
+    if components != 1 or not strings:
+        return {}
+    label = strings[0].strip().strip(b'"').decode("latin-1")
+    return {label: (rows["number"].astype(np.int64), rows["value"][:, 0].astype(np.float64))}
 
 
-def _faces(read: _MshContent) -> Faces:
-    if not read.points or not sum(map(len, read.points)):
+def _faces(
+    nodes: list[tuple[Array, Array]],
+    elements: list[tuple[int, Array, Array]],
+    data: dict[str, dict[str, tuple[Array, Array]]],
+) -> Faces:
+    if not sum(len(numbers) for numbers, _ in nodes):
         raise InputError("has no nodes", "save the mesh, not the geometry alone")
-    curved = [kind for kind in read.elements if kind in _CURVED]
+    kinds = list(dict.fromkeys(kind for kind, _, _ in elements))
+    curved = [kind for kind in kinds if kind in _CURVED]
     if curved:
         problem = f"has curved faces (elements of second or higher order, Gmsh's type {curved[0]})"
         raise InputError(problem, "save a mesh of first order (Mesh.ElementOrder = 1)")
-    straight = [kind for kind in (_TRIANGLE, _QUADRILATERAL) if kind in read.elements]
+    # Triangles come first, whatever their order in the file.
+    straight = [block for wanted in (_TRIANGLE, _QUADRILATERAL) for block in elements if block[0] == wanted]
     if not straight:
-        raise missing_surface_error(solid=any(kind in _SOLID for kind in read.elements))
-    numbers, places = _sort_nodes(np.concatenate(read.numbers), np.concatenate(read.points))
-    cell_numbers, corners, counts = [], [], []
-    for kind in straight:
-        for number, nodes in read.elements[kind]:
-            cell_numbers.append(number)
-            corners.append(locate_numbers(nodes.reshape(-1), numbers))
-            counts.append(np.full(len(nodes), nodes.shape[1]))
-    cells = np.concatenate(cell_numbers)
+        raise missing_surface_error(solid=any(kind in _SOLID for kind in kinds))
+    numbers, places = _sort_nodes(*(np.concatenate(part) for part in zip(*nodes, strict=True)))
+    cells = np.concatenate([number for _, number, _ in straight]).astype(np.int64)
+    corners = [locate_numbers(found.astype(np.int64).reshape(-1), numbers) for _, _, found in straight]
+    counts = [np.full(len(found), found.shape[1]) for _, _, found in straight]
     return Faces(
         places,
         np.concatenate(corners),
         np.concatenate(counts),
-        {label: _look_up(numbers, *pair) for label, pair in read.data["node"].items()},
-        {label: _look_up(cells, *pair) for label, pair in read.data["element"].items()},
+        {label: _look_up(numbers, *pair) for label, pair in data["NodeData"].items()},
+        {label: _look_up(cells, *pair) for label, pair in data["ElementData"].items()},
     )
 
 

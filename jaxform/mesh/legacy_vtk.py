@@ -6,7 +6,6 @@ meshio reads no POLYDATA, which is what surfaces are exported as.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -39,11 +38,19 @@ _OF_POLYDATA = {"VERTICES": VERTEX, "LINES": LINE, "POLYGONS": POLYGON, "TRIANGL
 _TUPLES = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "GLOBAL_IDS": 1, "PEDIGREE_IDS": 1}
 
 
-class _Cursor:
-    """A position in the content that advances with what is read."""
+class _VtkFile:
+    """A file's content, a position in it that advances, and what was read so far.
+
+    A block of cells is their type, the offsets of their corners, and the corners.
+    """
 
     def __init__(self, content: bytes) -> None:
-        self.content, self.place, self.binary = content, 0, False
+        self.content, self.place, self.binary, self.version = content, 0, False, 0.0
+        self.points: NDArray[Any] | None = None
+        self.blocks: list[tuple[int, Index, Index]] = []
+        self.types: Index | None = None
+        self.data: dict[str, dict[str, NDArray[Any]]] = {"POINT_DATA": {}, "CELL_DATA": {}}
+        self.active, self.tuples = "", 0
 
     def raw_line(self) -> str:
         end = self.content.find(b"\n", self.place)
@@ -87,68 +94,55 @@ class _Cursor:
         return np.array(words[:count]).astype(np.float64).astype(numeric) if count else np.zeros(0, numeric)
 
 
-@dataclass
-class _VtkContent:
-    """The content read so far; a block of cells is their type, the offsets of their corners, and the corners."""
-
-    version: float
-    points: NDArray[Any] | None = None
-    blocks: list[tuple[int, Index, Index]] = field(default_factory=list)
-    types: Index | None = None
-    data: dict[str, dict[str, NDArray[Any]]] = field(default_factory=lambda: {"POINT_DATA": {}, "CELL_DATA": {}})
-    active: str = ""
-    tuples: int = 0
-
-
 def read_vtk(content: bytes, name: str) -> Faces:
     """The faces of a legacy VTK file, with data at nodes and in faces; points, lines and solids are left out.
 
     Raises:
         InputError: It is another kind of data set, or has curved faces or solids alone.
     """
-    cursor = _Cursor(content)
-    found = re.match(r"# vtk DataFile Version (\d+\.\d+)", cursor.raw_line(), re.IGNORECASE)
+    read = _VtkFile(content)
+    found = re.match(r"# vtk DataFile Version (\d+\.\d+)", read.raw_line(), re.IGNORECASE)
     if not found:
         raise ValueError("no header")
-    read = _VtkContent(float(found[1]))
-    cursor.raw_line()
-    cursor.binary = {"ASCII": False, "BINARY": True}[cursor.raw_line().upper()]
-    while words := cursor.words():
-        _section(cursor, words, read)
+    read.version = float(found[1])
+    read.raw_line()
+    read.binary = {"ASCII": False, "BINARY": True}[read.raw_line().upper()]
+    while words := read.words():
+        _section(read, words)
     return _faces(read)
 
 
-def _section(cursor: _Cursor, words: list[str], read: _VtkContent) -> None:
+def _section(read: _VtkFile, words: list[str]) -> None:
     word = words[0].upper()
     if word == "DATASET":
         if words[1].upper() not in ("POLYDATA", "UNSTRUCTURED_GRID"):
             raise InputError(f"is not a surface but a {words[1].lower()}", "extract the surface and export it")
     elif word == "POINTS":
-        read.points = cursor.numbers(3 * int(words[1]), words[2]).reshape(-1, 3)
+        read.points = read.numbers(3 * int(words[1]), words[2]).reshape(-1, 3)
     elif word in _OF_POLYDATA or word == "CELLS":
-        _cells(cursor, int(words[1]), int(words[2]), _OF_POLYDATA.get(word, 0), read)
+        _cells(read, int(words[1]), int(words[2]), _OF_POLYDATA.get(word, 0))
     elif word == "CELL_TYPES":
-        read.types = cursor.numbers(int(words[1]), "int").astype(np.int64)
+        read.types = read.numbers(int(words[1]), "int").astype(np.int64)
     elif word in read.data:
         read.active, read.tuples = word, int(words[1])
     elif word == "METADATA":
-        while cursor.raw_line():
+        while read.raw_line():
             pass
     elif word == "FIELD":
         for _ in range(int(words[2])):
-            _field(cursor, read)
+            _field(read)
     else:
-        _attribute(cursor, word, words, read)
+        _attribute(read, word, words)
 
 
-def _cells(cursor: _Cursor, first: int, second: int, kind: int, read: _VtkContent) -> None:
+def _cells(read: _VtkFile, first: int, second: int, kind: int) -> None:
     if read.version >= 5:
-        starts = cursor.numbers(first, cursor.words()[1]).astype(np.int64)
-        corners = cursor.numbers(second, cursor.words()[1]).astype(np.int64)
+        starts = read.numbers(first, read.words()[1]).astype(np.int64)
+        corners = read.numbers(second, read.words()[1]).astype(np.int64)
         if not len(starts):
             return
     else:
-        starts, corners = _split_cell_list(cursor.numbers(second, "int").astype(np.int64), first)
+        starts, corners = _split_cell_list(read.numbers(second, "int").astype(np.int64), first)
     if starts[0] != 0 or starts[-1] != len(corners) or (np.diff(starts) < 0).any():
         raise ValueError("the corners of the cells do not match")
     read.blocks.append((kind, starts, corners))
@@ -166,42 +160,42 @@ def _split_cell_list(mixed: Index, count: int) -> tuple[Index, Index]:
     return heads - np.arange(count + 1), mixed[keep]
 
 
-def _field(cursor: _Cursor, read: _VtkContent) -> None:
-    words = cursor.words()
+def _field(read: _VtkFile) -> None:
+    words = read.words()
     if words[0].upper() == "METADATA":
-        while cursor.raw_line():
+        while read.raw_line():
             pass
-        words = cursor.words()
+        words = read.words()
     name, size, count, kind = words
     if kind.lower() == "string":
         for _ in range(int(count)):
-            cursor.raw_line()
+            read.raw_line()
         return
-    values = cursor.numbers(int(size) * int(count), kind)
+    values = read.numbers(int(size) * int(count), kind)
     if read.active:
         read.data[read.active][name] = values
 
 
-def _attribute(cursor: _Cursor, word: str, words: list[str], read: _VtkContent) -> None:
+def _attribute(read: _VtkFile, word: str, words: list[str]) -> None:
     if word == "SCALARS":
         size = int(words[3]) if len(words) > 3 else 1
-        before = cursor.place
-        if cursor.words()[:1] != ["LOOKUP_TABLE"]:
-            cursor.place = before
-        read.data[read.active][words[1]] = cursor.numbers(size * read.tuples, words[2])
+        before = read.place
+        if read.words()[:1] != ["LOOKUP_TABLE"]:
+            read.place = before
+        read.data[read.active][words[1]] = read.numbers(size * read.tuples, words[2])
     elif word in _TUPLES:
-        cursor.numbers(_TUPLES[word] * read.tuples, words[2])
+        read.numbers(_TUPLES[word] * read.tuples, words[2])
     elif word == "TEXTURE_COORDINATES":
-        cursor.numbers(int(words[2]) * read.tuples, words[3])
+        read.numbers(int(words[2]) * read.tuples, words[3])
     elif word == "COLOR_SCALARS":
-        cursor.numbers(int(words[2]) * read.tuples, "unsigned_char" if cursor.binary else "float")
+        read.numbers(int(words[2]) * read.tuples, "unsigned_char" if read.binary else "float")
     elif word == "LOOKUP_TABLE":
-        cursor.numbers(4 * int(words[2]), "unsigned_char" if cursor.binary else "float")
+        read.numbers(4 * int(words[2]), "unsigned_char" if read.binary else "float")
     else:
         raise ValueError(f"unknown section {word}")
 
 
-def _faces(read: _VtkContent) -> Faces:
+def _faces(read: _VtkFile) -> Faces:
     if read.points is None or not read.blocks:
         raise InputError("has no triangles", "export the surface as triangles")
     blocks = sorted(read.blocks, key=lambda block: _NUMBERED.index(block[0]))

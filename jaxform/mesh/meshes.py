@@ -162,7 +162,7 @@ def find_degenerate(positions: NDArray[np.float64], triangles: NDArray[np.intege
     ordered = np.sort(triangles, axis=1)
     repeated = (ordered[:, 0] == ordered[:, 1]) | (ordered[:, 1] == ordered[:, 2])
     copied = np.ones(len(triangles), dtype=bool)
-    copied[distinct_rows(ordered).first] = False
+    copied[distinct_rows(ordered)[1]] = False
     return repeated | copied | (doubled_area <= DEGENERATE_HEIGHT * longest_squared)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +17,21 @@ _AT_ONCE = 1_000_000  # pairs of triangle and pixel that are processed together
 _EDGE = 1e-9  # by which a point may be outside of a triangle, so that none falls between two
 
 
-class Hits(NamedTuple):
-    """Pairs of triangle and pixel.
-
-    Attributes:
-        triangle: Numbers (n,).
-        pixel: Numbers (n,).
-        interpolate: Function of values at the corners of all triangles (n_triangle, 3) that returns those at the
-            pixels' middles (n,), linear in between.
-    """
-
-    triangle: Index
-    pixel: Index
-    interpolate: Callable[[Array], Array]
+Interpolation = Callable[[Array], Array]
+"""A function of values at the corners of all triangles (n_triangle, 3) that returns those at pixels' middles (n,)."""
 
 
-def rasterize(corners: Array, width: int, height: int) -> Iterator[Hits]:
+def rasterize(corners: Array, width: int, height: int) -> Iterator[tuple[Index, Index, Interpolation]]:
     """The pixels whose middles triangles cover; pixel (i, j) has its middle at (i + 1/2, j + 1/2), number i + j width.
 
     Args:
         corners: Corners of the triangles (n, 3, 2), in pixels; what is outside is left out.
         width: Width of the picture, in pixels.
         height: Height of the picture, in pixels.
+
+    Yields:
+        Pairs of triangle and pixel: the triangles' numbers (n,), the pixels' numbers (n,), and the function that
+        interpolates linearly between values at corners.
     """
     size = np.array([width, height])
     # Corner by corner: NumPy takes ten times as long along an axis of three.
@@ -56,7 +49,9 @@ def rasterize(corners: Array, width: int, height: int) -> Iterator[Hits]:
             yield _rasterize_rows(part, corners[part], turned[part], low[part], high[part], width)
 
 
-def _rasterize_rows(part: Index, corners: Array, turned: Array, low: Array, high: Array, width: int) -> Hits:
+def _rasterize_rows(
+    part: Index, corners: Array, turned: Array, low: Array, high: Array, width: int
+) -> tuple[Index, Index, Interpolation]:
     """Row by row of pixels: a row's are covered from one side of the triangle to another."""
     rows = (high - low + 1)[:, 1].astype(np.int64)
     y = _repeat(low[:, 1], rows) + positions_in_rows(rows)
@@ -85,7 +80,7 @@ def _rasterize_rows(part: Index, corners: Array, turned: Array, low: Array, high
         start, rise = (a * one + b * two + c * three for a, b, c in (weights, rises))
         return _repeat(start, columns) + _repeat(rise, columns) * along.astype(float)
 
-    return Hits(_repeat(triangle, columns), pixel, interpolate)
+    return _repeat(triangle, columns), pixel, interpolate
 
 
 def _repeat(values: NDArray[Any], counts: Index) -> Any:
@@ -98,7 +93,11 @@ def _cross(one: Array, other: Array) -> Array:
 
 
 def nearest_in_pixels(
-    corners: Array, depth: Array, width: int, height: int, kept: Callable[[Hits], NDArray[np.bool_]] | None = None
+    corners: Array,
+    depth: Array,
+    width: int,
+    height: int,
+    kept: Callable[[Interpolation], NDArray[np.bool_]] | None = None,
 ) -> NDArray[np.int32]:
     """The visible triangle of each pixel (height * width,), -1 where there is none.
 
@@ -107,13 +106,13 @@ def nearest_in_pixels(
         depth: Depths of the corners (n, 3); the smallest is the nearest.
         width: Width of the picture, in pixels.
         height: Height of the picture, in pixels.
-        kept: Selects the pairs that count (n,), where the triangles are cut open; all by default.
+        kept: Selects the pairs that count (n,) by their interpolation, where triangles are cut open; all by default.
     """
     best, seen = np.full(width * height, np.inf), np.full(width * height, -1, np.int32)
-    for found in rasterize(corners, width, height):
-        triangle, pixel, away = found.triangle, found.pixel, found.interpolate(depth)
+    for triangle, pixel, interpolate in rasterize(corners, width, height):
+        away = interpolate(depth)
         if kept is not None:
-            some = kept(found)
+            some = kept(interpolate)
             triangle, pixel, away = triangle[some], pixel[some], away[some]
         np.minimum.at(best, pixel, away)
         front = away <= best[pixel]

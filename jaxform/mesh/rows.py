@@ -2,26 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-
-class Distinct(NamedTuple):
-    """The distinct rows of an array, sorted by their first column, then by the next.
-
-    Attributes:
-        rows: Each once (k, c).
-        first: Index of the first occurrence of each (k,).
-        inverse: Index among them of each row of the array (n,).
-        count: Number of occurrences of each (k,).
-    """
-
-    rows: NDArray[Any]
-    first: NDArray[np.int64]
-    inverse: NDArray[np.int64]
-    count: NDArray[np.int64]
 
 
 def positions_in_rows(counts: NDArray[np.integer]) -> NDArray[np.int64]:
@@ -37,8 +21,13 @@ def unique_ascending(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     return found[first]
 
 
-def distinct_rows(rows: NDArray[Any]) -> Distinct:
-    """The distinct ones of rows (n, c) of numbers."""
+def distinct_rows(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The distinct ones of rows (n, c) of numbers, sorted by their first column, then by the next.
+
+    Returns:
+        As `numpy.unique`: each row once (k, c); the index of its first occurrence (k,); the index among them of each
+        row of the array (n,); the number of occurrences (k,).
+    """
     order = np.lexsort(rows.T[::-1])
     ordered = rows[order]
     fresh = np.ones(len(rows), bool)
@@ -46,4 +35,4 @@ def distinct_rows(rows: NDArray[Any]) -> Distinct:
     inverse = np.empty(len(rows), np.int64)
     inverse[order] = np.cumsum(fresh) - 1
     begin = np.flatnonzero(fresh)
-    return Distinct(ordered[begin], order[begin], inverse, np.diff(begin, append=len(rows)))
+    return ordered[begin], order[begin], inverse, np.diff(begin, append=len(rows))

@@ -107,10 +107,10 @@ def surface_cells(corners: Array, shape: NDArray[np.integer]) -> Mask:
         one, other = (k for k in range(3) if k != axis)
         wide, high = int(shape[one]), int(shape[other])
         across = np.moveaxis(wall, (one, other, axis), (0, 1, 2))
-        for found in raster.rasterize(corners[..., [one, other]], wide, high):
-            depth = np.floor(found.interpolate(corners[..., axis])).astype(int)
+        for _, pixel, interpolate in raster.rasterize(corners[..., [one, other]], wide, high):
+            depth = np.floor(interpolate(corners[..., axis])).astype(int)
             within = (depth >= 0) & (depth < shape[axis])
-            row, column = np.divmod(found.pixel[within], wide)
+            row, column = np.divmod(pixel[within], wide)
             across[column, row, depth[within]] = True
     return wall
 

@@ -104,8 +104,8 @@ def view_heights(looked_at: ViewedSurface, turn: Array, pixels: int) -> Heights:
     width, height = (int(np.ceil(extent / pixel)) + 5 for extent in (high - low)[:2])
     nearest = np.full(width * height, np.inf)
     corners = turned[looked_at.triangles]
-    for found in raster.rasterize((corners[..., :2] - first) / pixel, width, height):
-        np.minimum.at(nearest, found.pixel, found.interpolate(corners[..., 2]))
+    for _, covered, interpolate in raster.rasterize((corners[..., :2] - first) / pixel, width, height):
+        np.minimum.at(nearest, covered, interpolate(corners[..., 2]))
     # Walls that stand upright, and rims, are in no pixel's middle.
     points = topology.edge_points(looked_at.edges @ turn.T, pixel)
     column, row = np.floor((points[:, :2] - first) / pixel).astype(int).T

@@ -128,7 +128,7 @@ def _merge_points(points: Array, quads: Integers, size: float) -> Mesh:
     middle = np.stack([np.bincount(group, along) for along in points.T], axis=1) / count[:, None]
     triangles = group[np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])]
     apart = (triangles != np.roll(triangles, 1, axis=1)).all(1)
-    kept = distinct_rows(np.sort(triangles[apart], axis=1)).rows
+    kept = distinct_rows(np.sort(triangles[apart], axis=1))[0]
     return Mesh(middle, kept.astype(np.int32))
 
 

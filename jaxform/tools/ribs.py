@@ -128,7 +128,7 @@ def _between_crossings(
     pair = np.tile(np.arange(len(nodes)), 3)
     met = crosses(positions[ends[:, 0]], positions[ends[:, 1]], mold_corners[triangle[pair]])
     crossed = np.unique(pair[met])
-    rows = distinct_rows(np.column_stack([ends[met], triangle[pair[met]]])).rows
+    rows = distinct_rows(np.column_stack([ends[met], triangle[pair[met]]]))[0]
     begin, end, normal = positions[rows[:, 0]], positions[rows[:, 1]], _normals(mold_corners[rows[:, 2]])
     slope = np.einsum("ij,ij->i", end - begin, normal)
     share = np.einsum("ij,ij->i", mold_corners[rows[:, 2], 0] - begin, normal) / np.where(slope == 0, 1.0, slope)
@@ -137,11 +137,11 @@ def _between_crossings(
     same = np.zeros(len(rows), bool)
     same[1:] = (rows[1:, :2] == rows[:-1, :2]).all(1) & (np.diff(share) <= _SAME)
     rows, share, normal = rows[~same], share[~same], normal[~same]
-    found = distinct_rows(rows[:, :2])
-    even = found.count % 2 == 0
+    count = distinct_rows(rows[:, :2])[3]
+    even = count % 2 == 0
     # In order along each side: it is in the mold between the first and the second, the third and the fourth.
-    number = np.arange(len(rows)) - np.repeat(np.cumsum(found.count) - found.count, found.count)
-    enter = np.flatnonzero(np.repeat(even, found.count) & (number % 2 == 0))
+    number = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
+    enter = np.flatnonzero(np.repeat(even, count) & (number % 2 == 0))
     enter = enter[_faces_opposite(positions, rows, normal, enter)]
     begin, end = positions[rows[enter, 0]], positions[rows[enter, 1]]
     middle = 0.5 * (share[enter] + share[enter + 1])
@@ -261,7 +261,7 @@ def _distances_out(
 
 def _normals_of_sides(positions: Array, nodes: Integers, sides: Integers) -> Array:
     """Unit normals (n, 3) of the elements, nodes (n_element, 3), that share sides (n, 2), whose nodes are in order."""
-    elements = distinct_rows(nodes).rows
+    elements = distinct_rows(nodes)[0]
     one, other = (positions[elements[:, k]] - positions[elements[:, 0]] for k in (1, 2))
     normal = np.cross(one, other)
     ends = np.concatenate([np.sort(elements[:, [k, (k + 1) % 3]], axis=1) for k in range(3)])
@@ -377,8 +377,8 @@ def _nearest(corners: Array, along: Array, shape: tuple[int, ...], *, edges: boo
     """
     width, height = shape
     found = np.full(width * height, np.inf)
-    for hit in raster.rasterize(corners, width, height):
-        np.minimum.at(found, hit.pixel, hit.interpolate(along))
+    for _, pixel, interpolate in raster.rasterize(corners, width, height):
+        np.minimum.at(found, pixel, interpolate(along))
     if edges:
         places, depth = _edge_points(corners, along)
         cell = np.floor(places).astype(np.int64)

@@ -17,14 +17,14 @@ def test_values_and_weights_at_pixels_are_linear_in_the_triangle() -> None:
     slope, level = random.normal(size=(60, 1, 2)), random.normal(size=(60, 1))
     values = (slope * corners).sum(2) + level
     pairs = 0
-    for found in raster.rasterize(corners, width, height):
-        row, column = np.divmod(found.pixel, width)
+    for triangle, pixel, interpolate in raster.rasterize(corners, width, height):
+        row, column = np.divmod(pixel, width)
         middle = np.stack([column, row], axis=1) + 0.5
-        wanted = (slope[found.triangle, 0] * middle).sum(1) + level[found.triangle, 0]
-        np.testing.assert_allclose(found.interpolate(values), wanted, atol=1e-9)
-        weights = raster.weights(corners, found.triangle, found.pixel, width)
+        wanted = (slope[triangle, 0] * middle).sum(1) + level[triangle, 0]
+        np.testing.assert_allclose(interpolate(values), wanted, atol=1e-9)
+        weights = raster.weights(corners, triangle, pixel, width)
         np.testing.assert_allclose(weights.sum(0), 1.0, atol=1e-12)
         assert weights.min() > -1e-8
-        np.testing.assert_allclose((weights.T * values[found.triangle]).sum(1), wanted, atol=1e-8)
-        pairs += len(found.pixel)
+        np.testing.assert_allclose((weights.T * values[triangle]).sum(1), wanted, atol=1e-8)
+        pairs += len(pixel)
     assert pairs > 1000
