@@ -119,7 +119,7 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
     if parison.temperature is not None:
         yield _temperature_line(scene, np.asarray(parison.temperature, float))
     images = " with its images" if document.model.parison.shape != "file" and _is_cut_at_planes(scene) else ""
-    yield f"sheet{images}: {seen.sheet}; its thickness is {seen.thinness:.3g} times its size"
+    yield f"sheet{images}: {format_extent(*seen.sheet)}; its thickness is {seen.thinness:.3g} times its size"
     found = mesh_connectivity.parison_connectivity(parison)
     first = scene.first_nodes
     held = int(np.asarray(parison.clamped)[:first].sum())
@@ -147,7 +147,7 @@ def _mold_lines(scene: Scene, seen: Survey) -> Iterator[str]:
     if scene.mold is None or seen.mold is None:
         return
     dropped = f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
-    yield f"mold: {len(scene.mold.triangles)} triangles{dropped}; {seen.mold}"
+    yield f"mold: {len(scene.mold.triangles)} triangles{dropped}; {format_extent(*seen.mold)}"
     if not scene.mold.contact.sticks:
         yield f"nodes on the mold {_contact_words(scene.mold)}"
     if scene.mold.motion is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -49,13 +49,13 @@ def warm(arguments: argparse.Namespace) -> int:
     done = new = 0
     with session.progress(not arguments.quiet, "compiling") as bar:
         try:
-            for kind in wanted:
+            for words, make, elements in wanted:
                 if bar is not None:
-                    bar(done / len(wanted), kind.words)
-                fresh = kind.compile(store)
+                    bar(done / len(wanted), words)
+                fresh = compile_kind(make, elements, store)
                 done, new = done + 1, new + fresh
                 if bar is None:
-                    say(f"{done} of {len(wanted)}: {kind.words}{'' if fresh else ' (compiled already)'}")
+                    say(f"{done} of {len(wanted)}: {words}{'' if fresh else ' (compiled already)'}")
         except KeyboardInterrupt:
             say(f"interrupted; {done} of {len(wanted)} are compiled and remain stored")
             return session.INTERRUPTED
@@ -63,34 +63,25 @@ def warm(arguments: argparse.Namespace) -> int:
     return session.DONE
 
 
+SceneKind = tuple[str, Callable[[], Scene], int]
+"""Scenes that share their programs: a description, a function that returns a small one, their capacity for elements."""
+
+
 def _kind_of_file(source: str, store: Store) -> SceneKind:
     scene = files.build(files.read_scene(source), store)
-    return SceneKind(scene.name, lambda: scene, 0)
+    return scene.name, lambda: scene, 0
 
 
-class SceneKind(NamedTuple):
-    """Scenes that share their programs.
-
-    Attributes:
-        words: Description of the scenes.
-        make: Function that returns a small scene.
-        elements: Their capacity for elements.
-    """
-
-    words: str
-    make: Callable[[], Scene]
-    elements: int
-
-    def compile(self, store: Store) -> bool:
-        """Compiles their programs; True if any was missing."""
-        scene = self.make()
-        if is_compiled(scene, store, self.elements):
-            return False
-        compile_for(scene, store, self.elements)
-        # Compiled programs are in files; in memory they would only take space.
-        store.clear_memory()
-        jax.clear_caches()
-        return True
+def compile_kind(make: Callable[[], Scene], elements: int, store: Store) -> bool:
+    """Compiles the programs of a kind of scenes; True if any was missing."""
+    scene = make()
+    if is_compiled(scene, store, elements):
+        return False
+    compile_for(scene, store, elements)
+    # Compiled programs are in files; in memory they would only take space.
+    store.clear_memory()
+    jax.clear_caches()
+    return True
 
 
 def kinds() -> Iterator[SceneKind]:
@@ -103,10 +94,10 @@ def kinds() -> Iterator[SceneKind]:
     for size in _bucket_sizes(capacities.element_capacity, _LARGEST):
         for (name, law), ramp in itertools.product(laws.items(), ("linear", "cubic-ramp")):
             words = f"{name}, {ramp}, up to {size - 1} elements"
-            yield SceneKind(words, lambda law=law, ramp=ramp: _scene(law, ramp), size - 1)
+            yield words, lambda law=law, ramp=ramp: _scene(law, ramp), size - 1
     for size in _bucket_sizes(capacities.root_capacity, _LARGEST_ROOTS):
         words = f"mooney-rivlin, linear, refined from up to {size} elements"
-        yield SceneKind(words, lambda size=size: _scene(laws["mooney-rivlin"], "linear", roots=size), size)
+        yield words, lambda size=size: _scene(laws["mooney-rivlin"], "linear", roots=size), size
 
 
 def _bucket_sizes(capacity_of: Callable[[int], int], largest: int) -> list[int]:

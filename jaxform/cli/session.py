@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxform.cli.worker_process import DirectCaller, PendingCall, make_caller
+from jaxform.cli.worker_process import DirectCaller, make_caller
 from jaxform.core import disk
 from jaxform.core.disk import PREFIX
 from jaxform.core.errors import InputError
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from jaxform.core.store import Store
-    from jaxform.io.process import ProcessHistory
+    from jaxform.io.canvas import ProcessHistory
     from jaxform.model.scene import Scene
     from jaxform.results.result import Result
 
@@ -155,20 +155,21 @@ def picture(
     reference: dict[str, Any] | None,
     history: ProcessHistory | None = None,
     draw: DirectCaller | None = None,
-) -> PendingCall:
-    """The pictures of a part and its process, which are being drawn where there is another process for it."""
+) -> tuple[Callable[[], object], bool]:
+    """The function that waits for the pictures of a part and its process, and whether another process draws them."""
     from jaxform.io import canvas, plots, process
 
     part = arguments.out / "thickness.png", plots.part_picture(scene, result, reference)
-    over_time = None if history is None else (arguments.out / process.PICTURE, process.process_picture(scene, history))
-    return (draw or DirectCaller()).start_call(canvas.draw_pictures, part, over_time)
+    over_time = None if history is None else (arguments.out / process.PICTURE, history)
+    caller = draw or DirectCaller()
+    return caller.start_call(canvas.draw_pictures, part, over_time), caller.elsewhere
 
 
 def write_part(
     arguments: argparse.Namespace,
     scene: Scene,
     result: Result,
-    picture: PendingCall,
+    picture: tuple[Callable[[], object], bool],
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
     then: Callable[[], object] = lambda: None,
     *,
@@ -181,16 +182,17 @@ def write_part(
     from jaxform.io import output
 
     folder, warned = arguments.out, list(arguments.warned)
+    wait_for_picture, elsewhere = picture
 
     def write() -> tuple[dict[str, Any], Exception | None]:
         with report_waiting(arguments, "comparing the part with the mold; its files are written already"):
             summary = output.write_result(scene, result, folder, warned, amend, there=there)
-        return summary, _failure(then) if picture.elsewhere else None
+        return summary, _failure(then) if elsewhere else None
 
     with run_in_background(write) as written, report_waiting(arguments, "drawing the part"):
-        picture.wait()
+        wait_for_picture()
     summary, failure = written.result()
-    if not picture.elsewhere:
+    if not elsewhere:
         # To read files back, a process limits its memory; not while it draws.
         failure = _failure(then)
     for sentence in summary["warnings"]:

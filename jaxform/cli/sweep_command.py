@@ -132,7 +132,7 @@ def _task(arguments: argparse.Namespace) -> _Task:
         from jaxform.cli import sweep_optimize
 
         search = sweep_optimize.search_of(study, arguments.source)
-        about = f"{about} {search.digest}"
+        about = f"{about} {sweep_optimize.search_digest(search[2])}"
         made = designs.make_designs(table, scene, base, about)
         task = _Task(made, table.paths, MEASURES | sweep_optimize.MEASURES, sweep_optimize.optimize_design)
         task.study = search

@@ -6,7 +6,6 @@ import hashlib
 import json
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,32 +17,18 @@ from jaxform.io.validation import validate
 from jaxform.sweeps import evaluation
 from jaxform.sweeps.designs import SweepStudy
 from jaxform.sweeps.engine import OK, Outcome
-from jaxform.sweeps.evaluation import Evaluated, Setting
+from jaxform.sweeps.evaluation import Setting
 
 MEASURES = {"objective": "", "thickness_rms_error": "", "violation": "", "simulations": ""}
 """Columns of what a search gives, besides those of the simulated best design, and their units."""
 _SEARCH = ("variable", "objective", "solver")
 
 
-@dataclass(frozen=True)
-class SearchTables:
+def search_of(study: SweepStudy | None, source: str) -> tuple[str, Path, dict[str, Any]]:
     """The search that a study describes, for scenes of a sweep.
 
-    Attributes:
-        file: Name of the study in messages.
-        folder: Base of its relative paths.
-        data: Its tables but the sweep.
-        digest: Hash of those that determine the result.
-    """
-
-    file: str
-    folder: Path
-    data: dict[str, Any]
-    digest: str
-
-
-def search_of(study: SweepStudy | None, source: str) -> SearchTables:
-    """The search that a study describes.
+    Returns:
+        The name of the study in messages, the base of its relative paths, and its tables but the sweep.
 
     Raises:
         InputError: It is a table of designs alone, or a table of the search is missing or wrong.
@@ -53,25 +38,28 @@ def search_of(study: SweepStudy | None, source: str) -> SearchTables:
         raise InputError("is a table, which has no objective for --optimize", remedy, value=source)
     data = {key: value for key, value in study.data.items() if key != "sweep"}
     validate(schema.StudyFile, {"scene": "any", **data}, study.file)
+    return study.file, study.folder, data
+
+
+def search_digest(data: dict[str, Any]) -> str:
+    """Hash of those tables of a search that determine its result."""
     determining = json.dumps([data.get(key) for key in _SEARCH], sort_keys=True, default=str)
-    return SearchTables(study.file, study.folder, data, hashlib.sha256(determining.encode()).hexdigest())
+    return hashlib.sha256(determining.encode()).hexdigest()
 
 
-def optimize_design(task: tuple[SceneDocument, Setting, SearchTables]) -> Outcome:
+def optimize_design(task: tuple[SceneDocument, Setting, tuple[str, Path, dict[str, Any]]]) -> Outcome:
     """The best design that a search finds for a scene document: its numbers and files, and its status in words.
 
     Raises:
         InputError: The scene cannot be simulated, or the search does not fit it.
     """
-    document, setting, search = task
+    document, setting, (file, base, data) = task
     before, warned = evaluation.compiled(), []
     worker = evaluation.set_up(setting)
-    model = validate(schema.StudyFile, {"scene": document.name, **search.data}, search.file)
-    with evaluation.compile_once(worker, search.digest), evaluation.tell_warnings(warned.append):
+    model = validate(schema.StudyFile, {"scene": document.name, **data}, file)
+    with evaluation.compile_once(worker, search_digest(data)), evaluation.tell_warnings(warned.append):
         began = time.perf_counter()
-        study = optimize.build_study(
-            StudyDocument(search.file, search.folder, search.data, model, document), worker.store
-        )
+        study = optimize.build_study(StudyDocument(file, base, data, model, document), worker.store)
         with tempfile.TemporaryDirectory(prefix="jaxform-") as name:
             folder = Path(name)
             design = optimize.solve(study, on_warning=warned.append)
@@ -82,7 +70,7 @@ def optimize_design(task: tuple[SceneDocument, Setting, SearchTables]) -> Outcom
     measures |= {name: found["after"][name] for name in ("objective", "thickness_rms_error")}
     measures |= {"violation": found["violation"], "simulations": found["simulations"]}
     status = summary["status"] if int(design.result.status) or design.broken else OK
-    return Outcome(status, Evaluated(measures, archive, evaluation.compiled() - before))
+    return Outcome(status, (measures, archive, evaluation.compiled() - before))
 
 
 def _write_files(folder: Path, document: SceneDocument, design: Any, warned: list[str]) -> dict[str, Any]:

@@ -13,26 +13,22 @@ import pickle
 import signal
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple
+from typing import Any
 
 from jaxform.core.cores import usable_cores
 
 _NO_ANSWER = (OSError, EOFError)  # where the other process is no more
 
 
-class PendingCall(NamedTuple):
-    """A call that may run in another process: the function that waits for it, and whether it does."""
-
-    wait: Callable[[], object]
-    elsewhere: bool
-
-
 class DirectCaller:
     """Calls are done in this process, when they are waited for."""
 
-    def start_call(self, function: Callable[..., object], *arguments: Any) -> PendingCall:
-        """A pending call of a function, which runs when it is waited for."""
-        return PendingCall(lambda: function(*arguments), elsewhere=False)
+    elsewhere = False
+    """Whether calls are done in another process."""
+
+    def start_call(self, function: Callable[..., object], *arguments: Any) -> Callable[[], object]:
+        """The function that waits for a call, which runs then."""
+        return lambda: function(*arguments)
 
 
 class WorkerCaller(DirectCaller):
@@ -45,6 +41,8 @@ class WorkerCaller(DirectCaller):
         ready: Function of that module that it calls first, to import and set up what calls need.
     """
 
+    elsewhere = True
+
     def __init__(self, module: str, ready: str) -> None:
         """See the class."""
         context = multiprocessing.get_context("spawn")
@@ -54,7 +52,7 @@ class WorkerCaller(DirectCaller):
             self._process.start()
         there.close()
 
-    def start_call(self, function: Callable[..., object], *arguments: Any) -> PendingCall:
+    def start_call(self, function: Callable[..., object], *arguments: Any) -> Callable[[], object]:
         """Has a function of a module called there; one call after the other, each waited for before the next."""
         sent = False
         with contextlib.suppress(*_NO_ANSWER, pickle.PicklingError, AttributeError, TypeError):
@@ -68,7 +66,7 @@ class WorkerCaller(DirectCaller):
             if not done:
                 function(*arguments)
 
-        return PendingCall(wait, elsewhere=True)
+        return wait
 
     def end(self) -> None:
         """Ends the process, whatever it does."""

@@ -17,12 +17,8 @@ Array = NDArray[np.float64]
 _DPI = 100
 
 
-class Line(NamedTuple):
-    """A line or points of a diagram: places (n,), and matplotlib's keywords for their style."""
-
-    across: Array
-    up: Array
-    style: dict[str, Any]
+Line = tuple[Array, Array, dict[str, Any]]
+"""A line or points of a diagram: places along both axes (n,), and matplotlib's keywords for their style."""
 
 
 class PartPicture(NamedTuple):
@@ -43,15 +39,15 @@ class PartPicture(NamedTuple):
     across: str
 
 
-class ProcessPicture(NamedTuple):
-    """A process over time.
+class ProcessHistory(NamedTuple):
+    """A process at times (n,) [s].
 
     Attributes:
         title: Title of the picture.
-        time: Times (n,) [s].
+        time: The times [s], from 0 to the end of the run.
         pressure: Pressure (n,) [Pa].
-        displacements: Displacements (n,) [m] of tools that move, by name.
-        contact: Shares (n,) of the formed area in contact with each tool, by name.
+        displacements: Displacement (n,) [m] along the way of each tool that moves, the mold included, by name.
+        contact: Share (n,) of the formed area in contact with each tool, the mold first, by name.
         colors: Colours of the tools, by name.
         moves: Begin and end [s] of the spans in which a tool moves, by its name.
     """
@@ -65,7 +61,7 @@ class ProcessPicture(NamedTuple):
     moves: dict[str, list[tuple[float, float]]]
 
 
-def draw_process(path: str | Path, process: ProcessPicture) -> None:
+def draw_process(path: str | Path, process: ProcessHistory) -> None:
     """Draws the picture of a process as PNG: panels for pressure, displacements and contact over one axis of time."""
     panels = [_draw_pressure, *([_draw_displacements] if process.displacements else [])]
     panels += [_draw_contact] if process.contact else []
@@ -91,7 +87,7 @@ _SHORT = 0.2  # s: a shorter process is drawn over milliseconds
 _PRESSURE = "#0072b2"
 
 
-def _draw_pressure(axes: Any, process: ProcessPicture, time: Array) -> None:
+def _draw_pressure(axes: Any, process: ProcessHistory, time: Array) -> None:
     largest = float(np.nanmax(np.abs(process.pressure), initial=0.0))
     factor, unit = (1e-5, "bar") if largest >= 1e6 else (1e-3, "kPa") if largest >= 1e3 else (1.0, "Pa")
     axes.plot(time, factor * process.pressure, color=_PRESSURE, linewidth=2)
@@ -101,7 +97,7 @@ def _draw_pressure(axes: Any, process: ProcessPicture, time: Array) -> None:
         axes.set_ylim(0.0, 1.12 * (factor * largest or 1.0))
 
 
-def _draw_displacements(axes: Any, process: ProcessPicture, time: Array) -> None:
+def _draw_displacements(axes: Any, process: ProcessHistory, time: Array) -> None:
     for name, far in process.displacements.items():
         axes.plot(time, 1e3 * far, color=process.colors[name], linewidth=2, label=name)
     axes.axhline(0.0, color="#7f7f7f", linewidth=0.6)
@@ -110,7 +106,7 @@ def _draw_displacements(axes: Any, process: ProcessPicture, time: Array) -> None
     axes.legend(frameon=False, loc="best")
 
 
-def _draw_contact(axes: Any, process: ProcessPicture, time: Array) -> None:
+def _draw_contact(axes: Any, process: ProcessHistory, time: Array) -> None:
     """The shares of all tools, one above the other; the upper edge is the contact fraction."""
     names = list(process.contact)
     shares = [100 * process.contact[name] for name in names]
@@ -131,7 +127,7 @@ def _contact_words(name: str, share: Array) -> str:
     return f"{name}: {last:.3g} % at the end{at_most}"
 
 
-def draw_pictures(part: tuple[Path, PartPicture], process: tuple[Path, ProcessPicture] | None) -> None:
+def draw_pictures(part: tuple[Path, PartPicture], process: tuple[Path, ProcessHistory] | None) -> None:
     """Draws the picture of a part and, where there is one, that of its process."""
     draw_part(*part)
     if process is not None:
@@ -144,8 +140,8 @@ def draw_part(path: str | Path, part: PartPicture) -> None:
     colors = views.draw(figure.add_axes((0.0, 0.04, 0.47, 0.84), projection="3d"), part.view)
     draw_bar(figure, colors, figure.add_axes((0.475, 0.2, 0.012, 0.5)), "wall thickness [mm]", [part.wall])
     axes = figure.add_axes((0.58, 0.12, 0.39, 0.74))
-    for line in part.lines:
-        axes.plot(line.across, line.up, **line.style)
+    for across, up, style in part.lines:
+        axes.plot(across, up, **style)
     axes.set(xlabel=part.across, ylabel="wall thickness [mm]")
     if axes.lines:
         axes.legend(frameon=False)

@@ -8,7 +8,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,28 +20,13 @@ _MOST_PARTS = 50  # of a dotted key; two are used
 _LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{_MOST_PARTS},}}""")
 
 
-@dataclass(frozen=True)
-class Source:
-    """A scene or study file that was read.
-
-    Attributes:
-        file: Name in messages.
-        path: Path of the file.
-        data: Its tables, as in the file.
-    """
-
-    file: str
-    path: Path
-    data: dict[str, Any]
-
-
 def built_in(kind: Kind) -> dict[str, Path]:
     """The built-in scenes or studies: name and file."""
     folders = _folders(kind)
     return {path.stem: path for folder in folders for path in sorted(folder.glob("*.toml"))}
 
 
-def read(name_or_path: str | Path, kind: Kind, folder: Path | None = None) -> Source:
+def read(name_or_path: str | Path, kind: Kind, folder: Path | None = None) -> tuple[str, Path, dict[str, Any]]:
     """The tables of a built-in scene or study, or of a file.
 
     Args:
@@ -49,17 +34,20 @@ def read(name_or_path: str | Path, kind: Kind, folder: Path | None = None) -> So
         kind: The kind to look for.
         folder: Base of a relative path; by default the working directory.
 
+    Returns:
+        The name in messages, the path of the file, and its tables.
+
     Raises:
         InputError: There is no such file, it cannot be read, or it is not TOML.
     """
     name = str(name_or_path)
     known = built_in(kind)
     if name in known:
-        return Source(f"{name} (built-in {kind})", known[name], _tables(known[name], name))
+        return f"{name} (built-in {kind})", known[name], _tables(known[name], name)
     path = disk.expand_path(name, folder)
     if not disk.is_file(path):
         raise _missing(name, path, kind, known)
-    return Source(str(path), path, _tables(path, str(path)))
+    return str(path), path, _tables(path, str(path))
 
 
 def kind_of(name_or_path: str | Path) -> Kind:
@@ -70,7 +58,7 @@ def kind_of(name_or_path: str | Path) -> Kind:
     if name in built_in("study"):
         return "study"
     try:
-        tables = read(name, "scene").data
+        tables = read(name, "scene")[2]
     except InputError:
         return "scene"
     return "study" if "parison" not in tables and {"scene", "variable", "objective"} & set(tables) else "scene"
@@ -78,7 +66,7 @@ def kind_of(name_or_path: str | Path) -> Kind:
 
 def descriptions(kind: Kind) -> dict[str, str]:
     """Name and description of each built-in scene or study."""
-    return {name: str(read(name, kind).data.get("description", "")) for name in built_in(kind)}
+    return {name: str(read(name, kind)[2].get("description", "")) for name in built_in(kind)}
 
 
 def _folders(kind: Kind) -> list[Path]:

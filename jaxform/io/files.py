@@ -108,8 +108,8 @@ def read_scene(name_or_path: str | Path, folder: Path | None = None) -> SceneDoc
     Raises:
         InputError: There is no such scene, or a key or value in it is wrong.
     """
-    source = catalog.read(name_or_path, "scene", folder)
-    return validate_scene(source.data, source.file, source.path.resolve().parent, source.path)
+    file, path, data = catalog.read(name_or_path, "scene", folder)
+    return validate_scene(data, file, path.resolve().parent, path)
 
 
 def validate_scene(tables: dict[str, Any], file: str, folder: Path, path: Path | None = None) -> SceneDocument:
@@ -136,12 +136,12 @@ def read_study(name_or_path: str | Path) -> StudyDocument:
     Raises:
         InputError: There is no such study or scene, or a key or value in one of them is wrong.
     """
-    source = catalog.read(name_or_path, "study")
-    model = validate(schema.StudyFile, source.data, source.file)
-    folder = source.path.resolve().parent
-    with error_context(source.file, "scene"):
+    file, path, data = catalog.read(name_or_path, "study")
+    model = validate(schema.StudyFile, data, file)
+    folder = path.resolve().parent
+    with error_context(file, "scene"):
         scene = read_scene(model.scene, folder)
-    return StudyDocument(source.file, folder, source.data, model, scene)
+    return StudyDocument(file, folder, data, model, scene)
 
 
 @with_standard_promotion

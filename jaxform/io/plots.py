@@ -14,7 +14,7 @@ from jaxform.core.parameters import parameter_ranges
 from jaxform.core.pytree import as_real
 from jaxform.io import canvas, views
 from jaxform.io.canvas import Line, PartPicture, new_figure, save
-from jaxform.io.scene_checks import Survey, survey
+from jaxform.io.scene_checks import Survey, box_size, survey
 from jaxform.io.surfaces import (
     SHEET,
     color_range,
@@ -216,8 +216,8 @@ def _lines(
         arc = 1e3 * curve.arc[shown]
         if curve.in_part is not None and not curve.in_part.all():
             label = "_" if lines else "cut off the part"
-            lines.append(Line(arc, 1e3 * curve.thickness[shown], style | _FAINT | {"label": label}))
-        lines.append(Line(arc, 1e3 * curve.part_thickness[shown], style | {"color": color, "label": curve.label}))
+            lines.append((arc, 1e3 * curve.thickness[shown], style | _FAINT | {"label": label}))
+        lines.append((arc, 1e3 * curve.part_thickness[shown], style | {"color": color, "label": curve.label}))
         if curve.marked is not None:
             lines.append(_mark(1e3 * curve.marked, thin, lines))
     where = "arc length from the axis" if disc else "arc length along the section"
@@ -233,10 +233,10 @@ def curves_of_part(scene: Scene, result: Result, through: ArrayLike | None = Non
 def _mark(arc: float, thin: Mapping[str, Any], lines: Sequence[Line] = ()) -> Line:
     """The thinnest place, named once among the lines."""
     where = ", ".join(format_coordinate(x, 1e3, 3) for x in thin["formed"])
-    named = any(line.style["label"].startswith("minimum") for line in lines)
+    named = any(style["label"].startswith("minimum") for _, _, style in lines)
     label = "_" if named else f"minimum {1e3 * thin['thickness']:.3g} mm, at ({where}) mm"
     look = {"color": MINIMUM, "markeredgecolor": "white", "markeredgewidth": 1.2, "markersize": 9, "zorder": 5}
-    return Line(np.array([arc]), np.array([1e3 * thin["thickness"]]), _POINTS | look | {"label": label})
+    return np.array([arc]), np.array([1e3 * thin["thickness"]]), _POINTS | look | {"label": label}
 
 
 def _exact(
@@ -245,13 +245,13 @@ def _exact(
     place, wall = 1e3 * sections.initial_radius(scene), 1e3 * np.asarray(result.thickness, float)
     shown = distinguishable_points(place, wall)
     look = {"color": AFTER, "markersize": 4, "alpha": 0.6, "label": "simulated, all nodes"}
-    nodes = Line(place[shown], wall[shown], _POINTS | look)
+    nodes = place[shown], wall[shown], _POINTS | look
     initial = 1e3 * float(np.asarray(scene.parison.thickness).mean())
     mark = _mark(1e3 * float(np.hypot(*thin["initial"][:2])), thin)
     order = np.argsort(np.asarray(reference["initial_radius"]))
     radius, ratio = (np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio"))
     dotted = {"linestyle": ":", "color": _EXACT, "linewidth": 2.5, "label": "exact solution"}
-    lines = [nodes, mark, Line(1e3 * radius, initial * ratio, dotted)]
+    lines = [nodes, mark, (1e3 * radius, initial * ratio, dotted)]
     return lines, "place along the meridian: radius in the initial sheet [mm]"
 
 
@@ -357,11 +357,11 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
     from matplotlib.collections import LineCollection
 
     push = int(np.argmax(np.abs(seen.push))) if seen.faces else 2
-    extent = seen.sheet.high - seen.sheet.low
-    across = max((k for k in range(3) if k != push), key=lambda k: extent[k])
+    low, high = seen.sheet
+    across = max((k for k in range(3) if k != push), key=lambda k: high[k] - low[k])
     axis = 3 - push - across
-    middle = 1e3 * 0.5 * (seen.sheet.low + seen.sheet.high)[axis]
-    level = middle + 0.1 * seen.sheet.size  # mm and m: a ten-thousandth beside the nodes in the middle
+    middle = 1e3 * 0.5 * (low + high)[axis]
+    level = middle + 0.1 * box_size(seen.sheet)  # mm and m: a ten-thousandth beside the nodes in the middle
     sheet = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
     lines = [("sheet", SHEET, 2.5, "-", 1e3 * np.concatenate(mirror_points(scene, sheet)))]
     lines += [(*line, 1e3 * faces) for *line, faces in _tool_lines(scene)]
@@ -372,7 +372,7 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
     of_sheet = cuts[0][-1]
     axes.autoscale()
     _draw_push(axes, of_sheet.mean(1), [across, push], seen)
-    if seen.mold is not None and seen.mold.size > _MUCH * seen.sheet.size and len(of_sheet):
+    if seen.mold is not None and box_size(seen.mold) > _MUCH * box_size(seen.sheet) and len(of_sheet):
         dot = of_sheet.mean((0, 1))
         axes.plot(*dot[:, None], "o", color=SHEET, ms=5)
         axes.annotate("the sheet", dot, (12, 12), textcoords="offset points", color=AFTER)
@@ -413,14 +413,16 @@ def _draw_push(axes: Any, middle: Array, plane: list[int], seen: Survey) -> None
         return
     order = np.argsort(middle[:, 0])
     some = middle[order[np.linspace(0, len(order) - 1, 9).round().astype(int)[1:-1]]]
-    shown = seen.mold if seen.mold is not None and seen.mold.size < _MUCH * seen.sheet.size else seen.sheet
+    size = box_size(seen.sheet)
+    if seen.mold is not None and box_size(seen.mold) < _MUCH * size:
+        size = box_size(seen.mold)
     if seen.faces:
         way = np.tile((seen.push / np.linalg.norm(seen.push))[plane], (len(some), 1))
     else:
         away = some - middle.mean(0)
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
         way = away if seen.outwards else -away
-    tip = some + _ARROW * 1e3 * shown.size * way
+    tip = some + _ARROW * 1e3 * size * way
     for begin, end in zip(some, tip, strict=True):
         axes.annotate("", end, begin, arrowprops={"arrowstyle": "->", "color": AFTER, "lw": 1.4})
     axes.update_datalim(tip)

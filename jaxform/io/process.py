@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.disk import atomic_path
 from jaxform.core.pytree import as_real
-from jaxform.io.canvas import ProcessPicture
+from jaxform.io.canvas import ProcessHistory
 from jaxform.io.surfaces import tool_colors
 from jaxform.io.tool_checks import offsets_of
 from jaxform.model.scene import Scene
@@ -28,22 +27,6 @@ _TIMES = 241  # of the table, besides the knots of pressure and motions
 _MOLD = "#606060"
 
 
-class ProcessHistory(NamedTuple):
-    """A process at times (n,) [s].
-
-    Attributes:
-        time: The times [s], from 0 to the end of the run.
-        pressure: Pressure (n,) [Pa].
-        displacements: Displacement (n,) [m] along the way of each tool that moves, the mold included, by name.
-        contact: Share (n,) of the formed area in contact with each tool, the mold first, by name.
-    """
-
-    time: Array
-    pressure: Array
-    displacements: dict[str, Array]
-    contact: dict[str, Array]
-
-
 def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
     """The process of a run; None where nothing changes over time: a constant pressure, and no tool that moves."""
     tools = [surface.mold for surface in scene.surfaces]
@@ -56,8 +39,28 @@ def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
         for tool in tools
         if tool.motion is not None
     }
-    contact = _contact(result, time, len(tools))
-    return ProcessHistory(time, pressure, displacements, dict(zip(map(tool_label, tools), contact, strict=True)))
+    contact, names = _contact(result, time, len(tools)), [tool_label(tool) for tool in tools]
+    colors = [_MOLD] * (scene.mold is not None) + tool_colors(len(scene.tools))
+    return ProcessHistory(
+        title=f"{scene.name}: the process",
+        time=time,
+        pressure=pressure,
+        displacements=displacements,
+        contact=dict(zip(names, contact, strict=True)),
+        colors=dict(zip(names, colors, strict=True)),
+        moves=_moving_spans(tools, float(time[-1])),
+    )
+
+
+def _moving_spans(tools: Sequence[Mold], end: float) -> dict[str, list[tuple[float, float]]]:
+    """Begin and end [s] of the spans before an end [s] in which each tool moves, by its name."""
+    moves = {}
+    for tool in tools:
+        if tool.motion is not None:
+            time, far = np.asarray(tool.motion.time, float), np.asarray(tool.motion.displacement, float)
+            spans = [(time[k], time[k + 1]) for k in np.flatnonzero(np.diff(far)) if time[k] < end]
+            moves[tool_label(tool)] = [(float(a), min(float(b), end)) for a, b in spans]
+    return moves
 
 
 def _times(scene: Scene, tools: Sequence[Mold], end: float) -> Array:
@@ -105,24 +108,3 @@ def write_process(history: ProcessHistory | None, folder: Path) -> None:
     lines = [",".join(columns), *(",".join("" if np.isnan(x) else f"{x:.9g}" for x in row) for row in rows)]
     with atomic_path(path) as fresh:
         fresh.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def process_picture(scene: Scene, history: ProcessHistory) -> ProcessPicture:
-    """Content of the picture of a process."""
-    tools = [surface.mold for surface in scene.surfaces]
-    colors = [_MOLD] * (scene.mold is not None) + tool_colors(len(scene.tools))
-    moves = {}
-    for tool in tools:
-        if tool.motion is not None:
-            time, far = np.asarray(tool.motion.time, float), np.asarray(tool.motion.displacement, float)
-            spans = [(time[k], time[k + 1]) for k in np.flatnonzero(np.diff(far)) if time[k] < history.time[-1]]
-            moves[tool_label(tool)] = [(float(a), min(float(b), float(history.time[-1]))) for a, b in spans]
-    return ProcessPicture(
-        title=f"{scene.name}: the process",
-        time=history.time,
-        pressure=history.pressure,
-        displacements=history.displacements,
-        contact=history.contact,
-        colors=dict(zip(map(tool_label, tools), colors, strict=True)),
-        moves=moves,
-    )

@@ -44,28 +44,12 @@ _LIGHT, _HEAVY = 10.0, 3e4  # kg/m^3
 _WEAK, _STRONG = 1e-3, 1e5  # pressure, in units of stiffness times thickness over half the size
 
 
-class BoundingBox(NamedTuple):
-    """The least and the largest coordinates (3,) [m]."""
-
-    low: Array
-    high: Array
-
-    @property
-    def size(self) -> float:
-        """The longest side [m]."""
-        return float((self.high - self.low).max())
-
-    def __str__(self) -> str:
-        """The box in words."""
-        return format_extent(*self)
-
-
 class Survey(NamedTuple):
     """Survey of a scene before it runs.
 
     Attributes:
-        sheet: Box of the whole sheet, images in symmetry planes included.
-        mold: Box of the mold; None without one.
+        sheet: Least and largest coordinates (2, 3) [m] of the whole sheet, images in symmetry planes included.
+        mold: The same of the mold; None without one.
         thinness: Mean thickness over the sheet's size.
         push: Unit vector (3,) in which the pressure pushes the sheet as a whole; shorter where the sheet is curved.
         outwards: Whether a curved sheet is pushed away from its middle.
@@ -78,8 +62,8 @@ class Survey(NamedTuple):
             where the sheet is curved.
     """
 
-    sheet: BoundingBox
-    mold: BoundingBox | None
+    sheet: Array
+    mold: Array | None
     thinness: float
     push: Array
     outwards: bool
@@ -115,7 +99,7 @@ def survey(scene: Scene) -> Survey:
     box = _box(used)
     for axis, level in planes.items():
         reach = np.abs(used[:, axis] - level).max()
-        box.low[axis], box.high[axis] = level - reach, level + reach
+        box[:, axis] = level - reach, level + reach
     corners = positions[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
@@ -123,11 +107,11 @@ def survey(scene: Scene) -> Survey:
     facing = sign * normal.sum(0) / area.sum()
     facing[list(planes)] = 0.0
     middle = corners.mean(1)
-    center = 0.5 * (box.low + box.high)
+    center = 0.5 * (box[0] + box[1])
     outwards = float(np.einsum("ij,ij->", sign * normal, middle - center)) > 0
     knots = scene.pushes()
     both = bool(knots.min() < -0.05 * np.abs(knots).max() and knots.max() > 0.05 * np.abs(knots).max())
-    thinness = float(np.asarray(scene.parison.thickness, float).mean()) / (box.size or 1.0)
+    thinness = float(np.asarray(scene.parison.thickness, float).mean()) / (box_size(box) or 1.0)
     ahead = behind = exposed = 0.0
     overlap = mold = bare = None
     if scene.mold is not None:
@@ -135,14 +119,19 @@ def survey(scene: Scene) -> Survey:
         mold = _box(walls.reshape(-1, 3))
         points = _reflect_into_part(_sample_triangles(walls), planes, used)
         height = heights_above(points, middle, sign * normal / area[:, None])
-        ahead, behind = (float((side * height > _FLAT * box.size).mean()) for side in (1, -1))
+        ahead, behind = (float((side * height > _FLAT * box_size(box)).mean()) for side in (1, -1))
         if np.linalg.norm(facing) >= _FACING:
             overlap, exposed, bare = _overlap(corners, walls, facing)
     return Survey(box, mold, thinness, facing, outwards, both, ahead, behind, overlap, exposed, bare)
 
 
-def _box(points: Array) -> BoundingBox:
-    return BoundingBox(points.min(0), points.max(0))
+def _box(points: Array) -> Array:
+    return np.stack([points.min(0), points.max(0)])
+
+
+def box_size(box: Array) -> float:
+    """The longest side [m] of a box, given by its least and largest coordinates (2, 3) [m]."""
+    return float((box[1] - box[0]).max())
 
 
 def _sign(scene: Scene) -> float:
@@ -237,7 +226,7 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
 
 
 def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
-    size = seen.sheet.size
+    size = box_size(seen.sheet)
     if size > _LARGE:
         remedy = "give metres (parison.scale of a file, or its lengths)"
         warn_of(f"the sheet is {size:.4g} m wide: are its lengths in mm?", remedy, key="parison", file=file)
@@ -290,8 +279,8 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
 def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, moves: bool) -> None:
     """Warns once, for a mold in other units lies elsewhere too; a moving one may lie anywhere at first."""
     assert seen.mold is not None
-    ratio = seen.mold.size / (seen.sheet.size or 1.0)
-    boxes = f"mold {seen.mold}, sheet {seen.sheet}"
+    ratio = box_size(seen.mold) / (box_size(seen.sheet) or 1.0)
+    boxes = f"mold {format_extent(*seen.mold)}, sheet {format_extent(*seen.sheet)}"
     if not 1 / _ALIKE <= ratio <= _ALIKE:
         scales = getattr(table, "scale", None), getattr(sheet_table, "scale", None)
         _tell_of_size("mold", "mold", ratio, *scales, boxes, file)
@@ -309,10 +298,10 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, move
 def _warn_of_size(seen: Survey, tool: Mold, scale: float | None, sheet_scale: float | None, file: str) -> bool:
     """Warns of a tool that seems to be in other units; a plug may be small. True if it does."""
     box = _box(np.asarray(tool.vertices, float))
-    ratio = box.size / (seen.sheet.size or 1.0)
+    ratio = box_size(box) / (box_size(seen.sheet) or 1.0)
     if 1 / _SMALL <= ratio <= _ALIKE:
         return False
-    boxes = f"tool {box}, sheet {seen.sheet}"
+    boxes = f"tool {format_extent(*box)}, sheet {format_extent(*seen.sheet)}"
     _tell_of_size(f"tool {tool.name}", f"tool.{tool.name}", ratio, scale, sheet_scale, boxes, file)
     return True
 
@@ -329,7 +318,7 @@ def _tell_of_size(
 
 def _warn_of_bare(seen: Survey, overlap: float, radius: float, middle: Array, file: str) -> None:
     """Warns of sheet that the pressure would blow past the mold, or through it."""
-    if 1 - overlap < _BARE and radius < _HOLE * seen.sheet.size:
+    if 1 - overlap < _BARE and radius < _HOLE * box_size(seen.sheet):
         return
     share = f"{100 * (1 - overlap):.2g} % of the sheet has no mold in front of it"
     where = f"within {radius:.2g} m of {format_place(middle)} there is none"
@@ -395,7 +384,7 @@ def warn_of_side_holes(scene: Scene, file: str = "") -> None:
             (scene.mold.vertices, scene.mold.triangles),
         )
     )
-    if np.ptp(sheet[..., 2]) > _FLAT * seen.sheet.size or mold[..., 2].max() <= sheet[..., 2].min():
+    if np.ptp(sheet[..., 2]) > _FLAT * box_size(seen.sheet) or mold[..., 2].max() <= sheet[..., 2].min():
         return
     level = float(sheet[..., 2].min())
     holes = find_side_holes(cells_behind(mold, level, _region_before_mold(sheet[..., :2], mold, level)))

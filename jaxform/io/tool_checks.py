@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -58,38 +57,31 @@ def warn_of_tools(scene: Scene, tools: Sequence[Mold], file: str = "") -> None:
     for tool in tools:
         _warn_of_start(scene, tool, file)
         _warn_of_reach(scene, tool, file)
-    for meeting in find_meetings(scene):
-        one, other = meeting.one, meeting.other
-        when = "at the start" if meeting.time == 0.0 else f"at {meeting.time:.3g} s"
-        problem = f"meets {words_of(one)[0]} {when}, near {format_place(meeting.place)}: they pass through each other"
+    for one, other, time, place in find_meetings(scene):
+        when = "at the start" if time == 0.0 else f"at {time:.3g} s"
+        problem = f"meets {words_of(one)[0]} {when}, near {format_place(place)}: they pass through each other"
         key = words_of(other)[1]
         remedy = f"change its way ({motion_key(other, 'displacement')}) or its place ({key}.translate)"
         warn_of(problem, remedy, key=key, file=file)
 
 
-class Meeting(NamedTuple):
-    """Two tools that pass through each other.
+def find_meetings(scene: Scene) -> list[tuple[Mold, Mold, float, Array]]:
+    """The pairs of a scene's tools, the mold included, that pass through each other before the run ends.
 
-    Attributes:
-        one: The mold or tool that comes first in the scene.
-        other: The other one.
-        time: The first of the compared times at which they do [s].
-        place: A place where they do (3,) [m].
+    Returns:
+        Of each pair the tool that comes first in the scene, the other one, the first of the compared times at which
+        they meet [s], and a place where they do (3,) [m].
     """
-
-    one: Mold
-    other: Mold
-    time: float
-    place: Array
-
-
-def find_meetings(scene: Scene) -> list[Meeting]:
-    """The pairs of a scene's tools, the mold included, that pass through each other before the run ends."""
-    found = (_find_meeting(scene, *pair) for pair in itertools.combinations(scene.surfaces, 2))
-    return [meeting for meeting in found if meeting is not None]
+    found = []
+    for one, other in itertools.combinations(scene.surfaces, 2):
+        meeting = _find_meeting(scene, one, other)
+        if meeting is not None:
+            found.append((one.mold, other.mold, *meeting))
+    return found
 
 
-def _find_meeting(scene: Scene, one: ContactSurface, other: ContactSurface) -> Meeting | None:
+def _find_meeting(scene: Scene, one: ContactSurface, other: ContactSurface) -> tuple[float, Array] | None:
+    """The first of the compared times [s] at which two tools pass through each other, and a place there (3,) [m]."""
     end, motions = float(scene.solver.end_time), (one.mold.motion, other.mold.motion)
     times = [np.zeros(1)]
     for motion in filter(None, motions):
@@ -101,7 +93,7 @@ def _find_meeting(scene: Scene, one: ContactSurface, other: ContactSurface) -> M
         for edged, crossed, here, opposite in ((one, other, at, there), (other, one, there, at)):
             place = _crossing(edged, crossed, here - opposite)
             if place is not None:
-                return Meeting(one.mold, other.mold, float(time), place + opposite)
+                return float(time), place + opposite
     return None
 
 

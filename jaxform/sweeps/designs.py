@@ -35,7 +35,7 @@ Step = str | int
 
 
 @dataclasses.dataclass(frozen=True)
-class Design:
+class DesignRow:
     """A row of a sweep.
 
     Attributes:
@@ -202,7 +202,7 @@ def _tool_number(tables: list[Any], name: str, path: str) -> int:
     return number
 
 
-def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None, about: str = "") -> list[Design]:
+def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None, about: str = "") -> list[DesignRow]:
     """The designs of a table, each with its scene, validated.
 
     Args:
@@ -230,7 +230,7 @@ def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None
         except InputError as caught:
             errors.append(caught)
             error = truncate_text(str(dataclasses.replace(caught, file="")))
-        found.append(Design(number, values, document, error, _digest(document, name, values, about, hashed)))
+        found.append(DesignRow(number, values, document, error, _digest(document, name, values, about, hashed)))
     if errors and len(errors) == len(found):
         _refuse(table, errors)
     return found
@@ -240,16 +240,16 @@ def _document(
     table: Rows, values: Mapping[str, Any], read: Callable[..., Any], name: str, folder: Path | None
 ) -> SceneDocument:
     """The scene of a row, validated."""
-    source = read(name, folder)
-    data = copy.deepcopy(source.data)
+    file, path_of_scene, tables = read(name, folder)
+    data = copy.deepcopy(tables)
     for one, other in [pair for given in _ALTERNATIVES for pair in (given, given[::-1])]:
         if one in values and other not in values and isinstance(data.get("parison"), dict):
             data["parison"].pop(other.rpartition(".")[2], None)
-    places = [table.folder, source.path.resolve().parent]
+    places = [table.folder, path_of_scene.resolve().parent]
     for path, value in values.items():
         if path != SCENE:
             set_value(data, path, _relocate(path, value, places))
-    return files.validate_scene(data, source.file, places[1], source.path)
+    return files.validate_scene(data, file, places[1], path_of_scene)
 
 
 def _relocate(path: str, value: Any, places: Sequence[Path]) -> Any:
@@ -328,21 +328,21 @@ def read_sweep(name_or_path: str | Path) -> SweepStudy:
     Raises:
         InputError: There is no such study, a key or value in it is wrong, or its table cannot be read.
     """
-    source = catalog.read(name_or_path, "study")
-    model = validate(schema.SweepFile, source.data, source.file)
-    folder, table = source.path.resolve().parent, model.sweep
-    with files.error_context(source.file):
+    file, path, data = catalog.read(name_or_path, "study")
+    model = validate(schema.SweepFile, data, file)
+    folder, table = path.resolve().parent, model.sweep
+    with files.error_context(file):
         if table.table is not None:
             rows = read_table(table.table, folder)
         else:
-            paths = [variable.path for variable in table.variable]
-            for path in paths:
-                parse_path(path)
-            rows = Rows(source.file, folder, paths, sample(table))
-    return SweepStudy(source.file, folder, source.data, model, rows)
+            columns = [variable.path for variable in table.variable]
+            for column in columns:
+                parse_path(column)
+            rows = Rows(file, folder, columns, sample(table))
+    return SweepStudy(file, folder, data, model, rows)
 
 
-def name_scene(design: Design) -> SceneDocument:
+def name_scene(design: DesignRow) -> SceneDocument:
     """The scene of a design, with the design's number in its name."""
     document = design.document
     assert document is not None

@@ -64,20 +64,6 @@ def worker_setting(shared: bool = True) -> Setting:
     return Setting(precision, None if folder is None else str(folder), this_process())
 
 
-class Evaluated(NamedTuple):
-    """What a worker gives for a design.
-
-    Attributes:
-        measures: Columns of its row.
-        archive: Its files as a ZIP archive.
-        compiled: Number of programs that were compiled for it.
-    """
-
-    measures: dict[str, Any]
-    archive: bytes
-    compiled: int
-
-
 class Worker(NamedTuple):
     """The set-up of a worker process.
 
@@ -168,6 +154,9 @@ def _make_programs(scene: Scene, store: Store) -> float:
 def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
     """The part of a scene document: its numbers and files, and its status in words.
 
+    The outcome's value is the columns of the design's row, its files as a ZIP archive, and the number of programs that
+    were compiled for it.
+
     Raises:
         InputError: The scene cannot be simulated.
     """
@@ -190,7 +179,7 @@ def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
             scene_rewriting.keep_scene(document, folder)
             archive = pack(folder)
     measures = measures_of(summary) | {"seconds": time.perf_counter() - began}
-    return Outcome(summary["status"], Evaluated(measures, archive, compiled() - before))
+    return Outcome(summary["status"], (measures, archive, compiled() - before))
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxform.core.disk import PREFIX, write_error
-from jaxform.sweeps.designs import Design
+from jaxform.sweeps.designs import DesignRow
 from jaxform.sweeps.engine import OK, Outcome, evaluate
 from jaxform.sweeps.records import Records, Row
 
@@ -46,9 +46,9 @@ class Progress:
 
 
 def record_designs(
-    designs: Sequence[Design],
+    designs: Sequence[DesignRow],
     function: Callable[[Any], Outcome],
-    argument: Callable[[Design], Any],
+    argument: Callable[[DesignRow], Any],
     executor: Executor,
     records: Records,
     on_row: Callable[[Progress], object] = lambda _: None,
@@ -57,7 +57,7 @@ def record_designs(
 
     Args:
         designs: All designs.
-        function: What a worker does; the value of its outcome has `measures`, `archive` and `compiled`.
+        function: What a worker does; see `evaluation.simulate_design` for its outcome.
         argument: Its argument for a design.
         executor: Where it is done.
         records: Where it is recorded, and what is so already.
@@ -66,7 +66,7 @@ def record_designs(
     Raises:
         InputError: A row or file cannot be written, or the executor is broken. What is recorded stays so.
     """
-    alike: dict[str, list[Design]] = {}
+    alike: dict[str, list[DesignRow]] = {}
     for design in designs:
         alike.setdefault(design.digest, []).append(design)
     records.keep_only({digest: head(same[0]) for digest, same in alike.items()})
@@ -77,13 +77,13 @@ def record_designs(
     todo = [same[0] for digest, same in alike.items() if digest not in records.rows]
     names = _folder_names(todo, {row["folder"] for row in records.rows.values()})
 
-    def finish(design: Design, outcome: Outcome) -> None:
-        name, found = "", outcome.value
-        if found is not None:
+    def finish(design: DesignRow, outcome: Outcome) -> None:
+        name, measures = "", {}
+        if outcome.value is not None:
+            measures, archive, compiled = outcome.value
             name = f"{DESIGNS}/{names[design.digest]}"
-            unpack(found.archive, records.path.parent / name)
-            progress.compiled += found.compiled
-        measures = {} if found is None else found.measures
+            unpack(archive, records.path.parent / name)
+            progress.compiled += compiled
         said = {"status": outcome.status, "folder": name, "digest": design.digest}
         row = head(design) | {"seconds": outcome.seconds} | measures | said
         progress.computed += design.document is not None
@@ -99,12 +99,12 @@ def record_designs(
     return progress
 
 
-def head(design: Design) -> dict[str, Any]:
+def head(design: DesignRow) -> dict[str, Any]:
     """Number and values of a design, as its row has them."""
     return {"design": design.number, **design.values}
 
 
-def _folder_names(designs: Sequence[Design], used: set[str]) -> dict[str, str]:
+def _folder_names(designs: Sequence[DesignRow], used: set[str]) -> dict[str, str]:
     """Names of the folders of designs, by digest: their numbers, unless another design's results have it."""
     taken = {name.rpartition("/")[2] for name in used}
     names, following = {}, max([design.number for design in designs] + [int(name or 0) for name in taken], default=0)

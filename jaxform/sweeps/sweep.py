@@ -17,7 +17,7 @@ import numpy as np
 from jaxform.core.cores import usable_cores
 from jaxform.core.errors import InputError
 from jaxform.model.scene import Scene
-from jaxform.sweeps.designs import SCENE, Design, Rows, make_designs, parse_path
+from jaxform.sweeps.designs import SCENE, DesignRow, Rows, make_designs, parse_path
 from jaxform.sweeps.engine import Outcome, evaluate
 from jaxform.sweeps.evaluation import call_function, measure, pack_scene, worker_setting
 from jaxform.sweeps.folder import head
@@ -99,7 +99,7 @@ def sweep(
     return [outcomes[place] for place in range(len(designs))]
 
 
-def _designs(given: Sequence[Any], scene: str | Path | None, about: str) -> list[Design]:
+def _designs(given: Sequence[Any], scene: str | Path | None, about: str) -> list[DesignRow]:
     """A design for each of what is given; that of a scene has no document, and no error either."""
     about = f"{about} {_precision()}"
     rows: list[dict[str, Any]] = []
@@ -116,14 +116,14 @@ def _designs(given: Sequence[Any], scene: str | Path | None, about: str) -> list
     table = Rows(_DESIGNS, Path.cwd(), list(dict.fromkeys(path for row in rows for path in row)), rows)
     made = iter(make_designs(table, scene, about=about))
     return [
-        Design(place, {}, None, "", _scene_digest(one, about))
+        DesignRow(place, {}, None, "", _scene_digest(one, about))
         if isinstance(one, Scene)
         else dataclasses.replace(next(made), number=place)
         for place, one in enumerate(given, 1)
     ]
 
 
-def _sent(design: Design, given: Any) -> Any:
+def _sent(design: DesignRow, given: Any) -> Any:
     """What is sent to a worker for a design: its document, or the scene that was given."""
     return pack_scene(given) if design.document is None else design.document
 
@@ -177,13 +177,13 @@ def _check_function(function: Any, executor: Any) -> None:
 class _Recorder:
     """The table of a sweep from Python."""
 
-    def __init__(self, folder: Path, designs: Sequence[Design], names: Iterable[str], resume: bool) -> None:
+    def __init__(self, folder: Path, designs: Sequence[DesignRow], names: Iterable[str], resume: bool) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         paths = list(dict.fromkeys(path for design in designs for path in design.values))
         self._records = Records(folder, paths, names, resume)
         self._records.keep_only({design.digest: head(design) for design in designs})
 
-    def outcome(self, design: Design) -> Outcome | None:
+    def outcome(self, design: DesignRow) -> Outcome | None:
         """The outcome that is recorded of a design; None where none is."""
         if design.digest not in self._records.rows:
             return None
@@ -192,7 +192,7 @@ class _Recorder:
         value = {name: number(text) if number(text) is not None else text for name, text in found.items() if text}
         return Outcome(row["status"], value or None, seconds)
 
-    def add(self, design: Design, outcome: Outcome) -> None:
+    def add(self, design: DesignRow, outcome: Outcome) -> None:
         """Records an outcome."""
         if design.digest in self._records.rows:
             return
@@ -201,7 +201,7 @@ class _Recorder:
         said = {"status": outcome.status, "digest": design.digest}
         self._records.append(head(design) | value | {"seconds": outcome.seconds} | said)
 
-    def finish(self, designs: Sequence[Design]) -> None:
+    def finish(self, designs: Sequence[DesignRow]) -> None:
         """Puts the rows into the order of the designs."""
         self._records.finish((design.digest, head(design)) for design in designs)
 

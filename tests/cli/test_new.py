@@ -71,7 +71,7 @@ def test_the_opening_is_in_z_0_and_the_mold_behind_it(tmp_path, capfd, unit, deg
         np.interp(radius, [0.0, 0.06, 0.08, 0.1], [0.03, 0.03, 0.0, 0.0]), walls[:, 2], atol=2e-4
     )
     seen = survey(scene)
-    assert 0.081 < seen.sheet.high[0] < 0.09 and seen.direction == "towards +z" and seen.behind == 0.0
+    assert 0.081 < seen.sheet[1, 0] < 0.09 and seen.direction == "towards +z" and seen.behind == 0.0
     assert seen.overlap is not None and seen.overlap > 0.999
     study = files.read_study(folder / "study.toml")
     assert study.scene.data == tomllib.loads((folder / "scene.toml").read_text())
@@ -291,7 +291,7 @@ def test_a_mold_that_is_cut_is_completed(tmp_path, capfd, share, planes):
     )
     # As much of it on either side of both planes.
     np.testing.assert_allclose([walls[:, :2].min(0), walls[:, :2].max(0)], [[-0.1, -0.1], [0.1, 0.1]], atol=2e-4)
-    assert 0.081 < survey(scene).sheet.high[0] < 0.09
+    assert 0.081 < survey(scene).sheet[1, 0] < 0.09
 
 
 @pytest.mark.parametrize("step", [0.001, 0.005, 0.02])
@@ -305,7 +305,7 @@ def test_the_rim_around_the_cavity_is_clamped_on_not_a_lower_flange(tmp_path, ca
     assert said.err == "" and "drawn 30 mm deep" in said.out and "covers" not in said.out
     scene = files.load(folder / "scene.toml")
     assert scene.mold is not None and np.asarray(scene.mold.vertices)[:, 2].min() == pytest.approx(0.0, abs=1e-6)
-    assert 0.0405 < survey(scene).sheet.high[0] < 0.046
+    assert 0.0405 < survey(scene).sheet[1, 0] < 0.046
 
 
 def test_a_flange_that_is_a_little_uneven_is_not_tilted(tmp_path, capfd):

@@ -38,15 +38,15 @@ def test_what_was_compiled_beforehand_serves_other_scenes_of_the_kind(
 def test_an_interruption_leaves_what_is_done(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    done: list[precompile.SceneKind] = []
+    done: list[int] = []
 
-    def compile(kind: precompile.SceneKind, _: object) -> bool:
+    def compile(make: object, elements: int, _: object) -> bool:
         if len(done) == 3:
             raise KeyboardInterrupt
-        done.append(kind)
+        done.append(elements)
         return len(done) % 2 == 0
 
-    monkeypatch.setattr(precompile.SceneKind, "compile", compile)
+    monkeypatch.setattr(precompile, "compile_kind", compile)
     assert command.main(["warm"]) == session.INTERRUPTED
     lines = capfd.readouterr().out.splitlines()
     assert "compiled already" in lines[0] and "compiled already" not in lines[1]
@@ -55,10 +55,10 @@ def test_an_interruption_leaves_what_is_done(
 
 def test_the_common_kinds_are_of_other_shapes_and_known_sizes() -> None:
     kinds = list(precompile.kinds())
-    assert len({kind.words for kind in kinds}) == len(kinds)
-    for kind in (kinds[0], kinds[7], kinds[-1]):
-        room = padding.pad_to_bucket(kind.make(), kind.elements).scene
-        assert len(room.parison.triangles) - kind.elements in (0, 1)
+    assert len({words for words, _, _ in kinds}) == len(kinds)
+    for _, make, elements in (kinds[0], kinds[7], kinds[-1]):
+        room = padding.pad_to_bucket(make(), elements).scene
+        assert len(room.parison.triangles) - elements in (0, 1)
 
 
 def test_without_a_folder_there_is_nothing_to_warm(

@@ -31,29 +31,29 @@ def test_what_it_is_asked_for_is_done_there_and_what_it_cannot_do_here(tmp_path:
     with make_caller("json", "JSONDecoder", wanted=True) as ask:
         if not isinstance(ask, WorkerCaller):
             pytest.skip("one core")
-        ask.start_call(_note, path).wait()
+        ask.start_call(_note, path)()
         assert path.read_text() not in ("", own)
-        ask.start_call(_fail_elsewhere, path, os.getpid()).wait()
+        ask.start_call(_fail_elsewhere, path, os.getpid())()
         assert path.read_text() == own
         path.unlink()
-        ask.start_call(lambda: _note(path)).wait()  # cannot be sent
+        ask.start_call(lambda: _note(path))()  # cannot be sent
         assert path.read_text() == own
         with pytest.raises(FileNotFoundError):
-            ask.start_call(_note, tmp_path / "nowhere" / "note").wait()
-        ask.start_call(_note, path).wait()  # it goes on after a failure
+            ask.start_call(_note, tmp_path / "nowhere" / "note")()
+        ask.start_call(_note, path)()  # it goes on after a failure
         assert path.read_text() != own
 
 
 def test_what_it_is_asked_for_after_its_end_is_done_here(tmp_path: Path) -> None:
     other = WorkerCaller("json", "JSONDecoder")
     other.end()
-    other.start_call(_note, tmp_path / "note").wait()
+    other.start_call(_note, tmp_path / "note")()
     assert (tmp_path / "note").read_text() == str(os.getpid())
 
 
 def test_none_is_started_where_none_is_wanted() -> None:
     with make_caller("json", "JSONDecoder", wanted=False) as ask:
-        assert not isinstance(ask, WorkerCaller) and not ask.start_call(print).elsewhere
+        assert not isinstance(ask, WorkerCaller) and not ask.elsewhere
 
 
 def test_a_command_of_its_own_process_writes_the_same_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,7 +65,7 @@ def test_a_hostile_scene_file_is_refused_soon(tmp_path: Path, capfd: pytest.Capt
 def test_words_with_dots_are_no_dotted_key(tmp_path: Path) -> None:
     text = 'description = "' + "a. b.c " * 1000 + '"\n[parison.x]\n'
     (tmp_path / "scene.toml").write_text(text)
-    assert catalog.read(tmp_path / "scene.toml", "scene").data["parison"] == {"x": {}}
+    assert catalog.read(tmp_path / "scene.toml", "scene")[2]["parison"] == {"x": {}}
 
 
 def test_bytes_that_are_no_text(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -104,7 +104,7 @@ def test_shares_of_the_mold_and_of_the_sheet() -> None:
     assert seen.overlap is not None and seen.exposed is not None
     np.testing.assert_allclose([seen.overlap, seen.exposed], [0.5, 0.0], atol=0.01)
     assert seen.direction == "towards +z" and seen.faces
-    np.testing.assert_allclose(seen.sheet.high, [1.0, 1.0, 0.0])
+    np.testing.assert_allclose(seen.sheet[1], [1.0, 1.0, 0.0])
 
 
 def test_a_sphere_is_pushed_outwards_and_sees_the_mold_all_round() -> None:
@@ -119,7 +119,7 @@ def test_a_sphere_is_pushed_outwards_and_sees_the_mold_all_round() -> None:
     )
     seen = survey(scene)
     assert (seen.direction, seen.faces, seen.ahead, seen.behind) == ("outwards", False, 1.0, 0.0)
-    np.testing.assert_allclose([seen.sheet.low, seen.sheet.high], [[-1.0] * 3, [1.0] * 3])
+    np.testing.assert_allclose(seen.sheet, [[-1.0] * 3, [1.0] * 3])
     drawn_in = survey(jaxform.replace(scene, {"pressure.value": [0.0, -0.02]}))
     assert (drawn_in.direction, drawn_in.ahead, drawn_in.behind) == ("inwards", 0.0, 1.0)
 

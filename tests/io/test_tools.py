@@ -226,12 +226,12 @@ def test_check_warns_of_tools(tools: Any, words: list[str]) -> None:
 
 def test_tools_meet_where_they_do() -> None:
     scene = files.build_unchecked(_document([_plug(displacement=[0.0, 0.06])], mold=CUP))
-    (meeting,) = tool_checks.find_meetings(scene)
-    assert meeting.one is scene.mold and meeting.other is scene.tools[0]
-    reached = -0.001 + float(meeting.other.motion.offset(jnp.asarray(meeting.time))[2])  # pyright: ignore
+    ((one, other, time, place),) = tool_checks.find_meetings(scene)
+    assert one is scene.mold and other is scene.tools[0]
+    reached = -0.001 + float(other.motion.offset(jnp.asarray(time))[2])  # pyright: ignore
     # The tip is in the bottom of the cup at that time, and one compared time earlier it was not.
     assert 0.05 < reached < 0.053
-    np.testing.assert_allclose(meeting.place[2], 0.05, atol=2e-3)
+    np.testing.assert_allclose(place[2], 0.05, atol=2e-3)
 
 
 def test_check_tells_of_tools_and_draws_them(tmp_path: Path) -> None:

@@ -160,7 +160,7 @@ def test_starts_on_two_processes_are_those_of_one(tmp_path: Path, capfd: pytest.
 def test_every_built_in_study_is_valid_and_so_is_its_scene() -> None:
     scenes = catalog.built_in("scene")
     for name, path in catalog.built_in("study").items():
-        model = validate(schema.StudyFile, catalog.read(path, "study").data, name)
+        model = validate(schema.StudyFile, catalog.read(path, "study")[2], name)
         assert model.description
         if model.scene in scenes:
             assert files.read_study(name).scene.name == model.scene

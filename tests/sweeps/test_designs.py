@@ -14,7 +14,7 @@ import jaxform
 from jaxform.io import schema
 from jaxform.io.validation import validate
 from jaxform.sweeps import designs
-from jaxform.sweeps.designs import Design
+from jaxform.sweeps.designs import DesignRow
 from jaxform.sweeps.sampling import sample
 from tests import scenes
 
@@ -30,12 +30,12 @@ def _write(folder: Path, table: str, scene: str = scenes.FILE) -> Path:
     return folder / "table.csv"
 
 
-def _designs(folder: Path, table: str, scene: str = scenes.FILE) -> list[Design]:
+def _designs(folder: Path, table: str, scene: str = scenes.FILE) -> list[DesignRow]:
     path = _write(folder, table, scene)
     return designs.make_designs(designs.read_table(path), folder / "scene.toml")
 
 
-def _model(design: Design) -> Any:
+def _model(design: DesignRow) -> Any:
     assert design.document is not None, design.error
     return design.document.model
 

@@ -1,4 +1,4 @@
-"""Walls for the next analysis: names and writers of formats. A new format is a file and a line here."""
+"""Walls for the next analysis: names and writers of formats. A new format is a function and a line here."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from jaxform.core.disk import atomic_path
-from jaxform.io.export import abaqus, calculix, radioss, table, vtu
+from jaxform.io.export import formats
 from jaxform.io.export.wall import WallSurface, mirror, read_wall
 
 FORMATS: dict[str, tuple[str, Callable[[Path, WallSurface], None]]] = {
-    "abaqus": (".inp", abaqus.write),
-    "calculix": (".inp", calculix.write),
-    "radioss": (".rad", radioss.write),
-    "vtu": (".vtu", vtu.write),
-    "csv": (".csv", table.write),
+    "abaqus": (".inp", formats.write_abaqus),
+    "calculix": (".inp", formats.write_calculix),
+    "radioss": (".rad", formats.write_radioss),
+    "vtu": (".vtu", formats.write_vtu),
+    "csv": (".csv", formats.write_csv),
 }
 """The ending of files and the function that writes a wall to a path, by the name of the format in `export --to`."""
 

@@ -170,7 +170,7 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
     search = results.start is not None
     end = float(results.summary.get("time") or 0.0)
     names = tool_names(results)
-    parts = _Parts(parcel, [results.motion, *(tool.motion for tool in results.tools)], end, bool(names))
+    parts = _Parts(parcel, [results.motion, *(motion for _, _, motion in results.tools)], end, bool(names))
     parts.add(results.part, "best design" if search else "end", end)
     if results.start is not None:
         parts.add(results.start, "start of the search", end)
@@ -188,8 +188,8 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
         "hangs": _hangs(results.part, results.motion is not None),
         "mold": None if results.mold is None else _pack_mold(results.mold, symmetry_of(results), parcel),
         "tools": [
-            {"name": tool.name} | _pack_mold(tool.mesh, symmetry_of(results), parcel, f"tool{number}")
-            for number, tool in enumerate(results.tools)
+            {"name": name} | _pack_mold(mesh, symmetry_of(results), parcel, f"tool{number}")
+            for number, (name, mesh, _) in enumerate(results.tools)
         ],
     }
 

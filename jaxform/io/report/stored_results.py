@@ -153,14 +153,6 @@ class StoredPart(NamedTuple):
         return self.cells.get("part")
 
 
-class StoredTool(NamedTuple):
-    """A tool besides the mold, at its final position, and its motion; None where it rests."""
-
-    name: str
-    mesh: meshes.Mesh
-    motion: Motion | None
-
-
 @dataclass(frozen=True)
 class Results:
     """Results that a command left in a folder.
@@ -173,7 +165,7 @@ class Results:
         frame_count: Number of frames in the folder.
         mold: The mold in mold.vtu, at its final position; None without one.
         motion: Motion of the mold; None where it rests.
-        tools: The tools besides the mold.
+        tools: Name of each tool besides the mold, its mesh at its final position, and its motion; None where it rests.
         scene: The scene file, its name and its text; None where there is none.
         history: Rows of history.csv; empty for a simulation.
         process: Rows of process.csv; empty where nothing changes over time.
@@ -186,7 +178,7 @@ class Results:
     frame_count: int = 0
     mold: meshes.Mesh | None = None
     motion: Motion | None = None
-    tools: list[StoredTool] = field(default_factory=list)
+    tools: list[tuple[str, meshes.Mesh, Motion | None]] = field(default_factory=list)
     scene: tuple[str, str] | None = None
     history: list[dict[str, str]] = field(default_factory=list)
     process: list[dict[str, str]] = field(default_factory=list)
@@ -247,14 +239,14 @@ def _motion(table: Any) -> Motion | None:
         return None
 
 
-def _tools(folder: Path, tables: Any) -> list[StoredTool]:
+def _tools(folder: Path, tables: Any) -> list[tuple[str, meshes.Mesh, Motion | None]]:
     """The tools of a scene file whose meshes are in a folder."""
     found = []
     for number, table in enumerate(tables if isinstance(tables, list) else [], 1):
         name = str(table.get("name", f"tool{number}")) if isinstance(table, dict) else ""
         path = folder / f"tool_{Path(name).name}.vtu"
         if name and disk.is_file(path):
-            found.append(StoredTool(name, _mesh(path), _motion(table)))
+            found.append((name, _mesh(path), _motion(table)))
     return found
 
 
