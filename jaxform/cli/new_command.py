@@ -179,10 +179,10 @@ def _lines(made: Draft) -> Iterator[str]:
     if made.drape is None and made.covers.mesh is not None:
         yield f"{scene_text.COVERS} closes {scene_text.covers_text(made)}"
     if made.plug is not None:
-        size, what = made.plug.plug.size, "made from the cavity" if made.plug.path is None else "of its file"
+        size, what = made.plug.size, "made from the cavity" if made.plug.path is None else "of its file"
         yield (
             f"plug: {what}, {1e3 * size[0]:.3g} x {1e3 * size[1]:.3g} mm wide, goes "
-            f"{1e3 * made.plug.plug.stroke:.3g} mm within {made.stroke_time:.3g} s; its friction is a guess"
+            f"{1e3 * made.plug.stroke:.3g} mm within {made.stroke_time:.3g} s; its friction is a guess"
         )
     yield (
         f"guessed: thickness {1e3 * made.thickness:.3g} mm, {made.pressure:.3g} Pa within {made.ramp:.3g} s; "
@@ -209,4 +209,4 @@ def _clamp_words(made: Draft) -> str:
     depth = 1e3 * made.found.depth
     if made.drape is not None:
         return f"clamped {1e3 * made.drape.margin:.3g} mm around the buck, which is {depth:.3g} mm high"
-    return f"clamped {'on the flange' if made.planform.flange else 'along the rim'}; drawn {depth:.3g} mm deep"
+    return f"clamped {'on the flange' if made.flange else 'along the rim'}; drawn {depth:.3g} mm deep"

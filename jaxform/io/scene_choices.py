@@ -20,7 +20,6 @@ from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
 from jaxform.tools.halves import Plane
 from jaxform.tools.opening import Opening
-from jaxform.tools.plugs import Plug
 
 Array = NDArray[np.float64]
 
@@ -162,17 +161,19 @@ FRICTION = 0.2
 
 
 @dataclass(frozen=True)
-class PlugSetup:
+class Plug:
     """A plug of a first scene.
 
     Attributes:
-        plug: The plug, in the axes of the view.
+        size: Sides of its box (3,) [m], in the axes of the view.
+        stroke: The way [m] that it goes into the cavity.
         path: The user's file; None for one that was made by an offset of the cavity.
         mesh: The plug that was made, in the axes of the scene [m], where it starts; None for a user's.
         translate: Translation [m] (3,) of a user's file in the scene.
     """
 
-    plug: Plug
+    size: Array
+    stroke: float
     path: Path | None
     mesh: Mesh | None
     translate: Array
@@ -191,6 +192,7 @@ class Draft:
         translate: Translation of the mold [m] (3,).
         found: The opening.
         planform: Planform of the sheet, in the axes of the view.
+        flange: Whether it lies on the mold all round, beyond the opening.
         polygon: Polygon of the sheet (k, 2) [m] in the scene.
         rest: Images that complete a mold cut in a half or a quarter, as its file has it [m]; None where it is whole.
         planes: The planes in which the mold is cut, as its file has it [m].
@@ -214,6 +216,7 @@ class Draft:
     translate: Array
     found: Opening
     planform: Planform
+    flange: bool
     polygon: Array
     rest: Mesh | None
     planes: Sequence[Plane]
@@ -225,7 +228,7 @@ class Draft:
     element_size: float
     process: str = PROCESSES[0]
     drape: Drape | None = None
-    plug: PlugSetup | None = None
+    plug: Plug | None = None
     doubt: str = ""
 
     @property
@@ -242,7 +245,7 @@ class Draft:
     def filling(self) -> float:
         """The pressure [Pa] that fills the corners down to about an element: 2 T / r of a radius r and a tension T."""
         # A higher pressure would blow up what spans the foot of a buck, too.
-        folds = self.drape is not None or isinstance(self.planform.shape, np.ndarray)
+        folds = self.drape is not None or isinstance(self.planform, np.ndarray)
         return 2 * self._tension / ((_RE_ENTRANT if folds else _CORNER) * self.element_size)
 
     @property

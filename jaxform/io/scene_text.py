@@ -117,8 +117,8 @@ def scene_text(made: Draft, names: Sequence[str], plug: str = PLUG) -> str:
 
 
 def _parison(made: Draft) -> list[str]:
-    shape = made.planform.shape
-    where = "on the flange" if made.planform.flange else "along the rim"
+    shape = made.planform
+    where = "on the flange" if made.flange else "along the rim"
     if made.drape is not None:
         where = f"in a frame {_number(1e3 * made.drape.margin, 3)} mm around the buck, which is behind it"
     if isinstance(shape, Circle):
@@ -244,7 +244,7 @@ def _tool(made: Draft, name: str) -> list[str]:
     if made.plug is None:
         return []
     setup = made.plug
-    share = 100 * (setup.plug.stroke - clearance(made.thickness)) / made.found.depth
+    share = 100 * (setup.stroke - clearance(made.thickness)) / made.found.depth
     kind = ["# The plug goes into the cavity first. It is in the axes of the mold's file."]
     pose = [
         f"scale = {_number(made.scale)}",
@@ -269,7 +269,7 @@ def _tool(made: Draft, name: str) -> list[str]:
         *pose,
         "direction = [0.0, 0.0, 1.0]",
         f"time = [0.0, {_number(made.stroke_time)}]",
-        f"displacement = [0.0, {_number(setup.plug.stroke, 6)}]",
+        f"displacement = [0.0, {_number(setup.stroke, 6)}]",
         'contact = "coulomb"  # the sheet slides on it with friction; "stick" and "slide" are the extremes',
         f"friction = {_number(FRICTION)}  # a guess: 0.1 for felt, 0.4 for rubber-like plugs",
     ]
@@ -282,9 +282,9 @@ def slits_text(half: float) -> str:
 
 def shape_text(made: Draft) -> str:
     """The shape of the sheet, in words."""
-    if isinstance(made.planform.shape, Circle):
+    if isinstance(made.planform, Circle):
         return "a disc"
-    return "a rectangle" if isinstance(made.planform.shape, OrientedRectangle) else "an outline"
+    return "a rectangle" if isinstance(made.planform, OrientedRectangle) else "an outline"
 
 
 def covers_text(made: Draft) -> str:
@@ -355,7 +355,7 @@ def _solver(made: Draft) -> list[str]:
 
 def study_text(made: Draft) -> str:
     """A study of the scene: the sheet that makes an even wall."""
-    if isinstance(made.planform.shape, Circle):
+    if isinstance(made.planform, Circle):
         kind = ['kind = "thickness-profile"', 'along = "radius"', "knots = 8"]
     else:
         kind = ['kind = "thickness-field"', f"smoothness = {_number(0.15 * made.width, 2)}  # m"]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.io import scene_choices
 from jaxform.io.geometry import error_context
-from jaxform.io.scene_choices import Draft, PlugSetup, UserChoices, clearance, round_digits
+from jaxform.io.scene_choices import Draft, Plug, UserChoices, clearance, round_digits
 from jaxform.io.unit_checks import guess_units
 from jaxform.mesh import masks, meshes, outlines
 from jaxform.mesh.grids import triangle_side
@@ -21,7 +21,7 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
 from jaxform.tools import covers, footprint, halves, kinds, molds, opening, patches, plugs, revolution
 from jaxform.tools.covers import Covers
-from jaxform.tools.footprint import Planform
+from jaxform.tools.footprint import Planform, planform_polygon
 from jaxform.tools.opening import Opening
 
 Array = NDArray[np.float64]
@@ -52,35 +52,36 @@ def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
     extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
     units = guess_units(extent, wishes.scale)
     mold = footprint.weld_mold(raw.positions * units.scale, raw.triangles)
-    verdict = _verdict(mold, wishes)
+    is_male, doubt, completion = _classify(mold, wishes)
+    rest, planes = completion or (None, ())
     known: dict[str, Any] = {
         "scale": units.scale,
         "units": units,
         "guessed": wishes.scale is None,
         "size": extent,
         "process": wishes.process,
-        "planes": verdict.planes,
-        "doubt": verdict.doubt,
+        "planes": planes,
+        "doubt": doubt,
     }
-    if verdict.drape:
+    if is_male:
         if wishes.plug is not None:
             problem, remedy = "pushes a sheet into a cavity, and this mold is male", "leave it out, or give --cavity"
             raise InputError(problem, remedy, "--plug", str(wishes.plug))
         return _draft_buck(mold, wishes, known)
-    return _draft_cavity(mold, verdict.rest, wishes, known)
+    return _draft_cavity(mold, rest, wishes, known)
 
 
-def _verdict(mold: Mesh, wishes: UserChoices) -> kinds.Verdict:
+def _classify(mold: Mesh, wishes: UserChoices) -> tuple[bool, str, halves.Completion | None]:
+    """The kind of a mold as the user wants it or as it seems, see `kinds.classify`."""
     if wishes.drape is not None:
         completion = None if wishes.drape or wishes.direction is not None else halves.find_completion(mold)
-        return kinds.Verdict(wishes.drape) if completion is None else kinds.Verdict(wishes.drape, "", *completion)
+        return wishes.drape, "", completion
     patches.refuse_bottles(mold)
     kinds.refuse_tubes(mold)
-    verdict = kinds.classify(mold)
-    if verdict.drape and revolution.is_bottle(mold):
+    is_male, doubt, completion = kinds.classify(mold)
+    if is_male and revolution.is_bottle(mold):
         doubt = "a round body with a neck, as the inside of a bottle: --process stretch-blow blows it from a preform"
-        return verdict._replace(doubt=doubt)
-    return verdict
+    return is_male, doubt, completion
 
 
 def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dict[str, Any]) -> Draft:
@@ -89,7 +90,7 @@ def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dic
         whole = meshes.merge([mold, rest])
         mold = footprint.weld_mold(whole.positions, whole.triangles)
     found = opening.find_opening(mold.positions, mold.triangles, male=False, direction=wishes.direction)
-    planform = footprint.fit_planform(found, mold.positions, mold.triangles)
+    planform, flange = footprint.fit_planform(found, mold.positions, mold.triangles)
     rotate, translate, polygon = _place(found, planform)
     area = abs(outlines.area(polygon))
     width = _width(polygon, area)
@@ -103,8 +104,9 @@ def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dic
         polygon=polygon,
         found=found,
         planform=planform,
+        flange=flange,
         rest=rest,
-        covers=covers.cover(found, planform.polygon, mold),
+        covers=covers.cover(found, planform_polygon(planform), mold),
         width=width,
         pocket=pocket,
         slit=slit,
@@ -116,7 +118,7 @@ def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dic
 
 def _plug(
     found: Opening, wishes: UserChoices, scale: float, thickness: float, place: tuple[Array, Array]
-) -> PlugSetup | None:
+) -> Plug | None:
     """The plug that the user wants, before the sheet; `place` is the rotation [degrees] and translation of the mold."""
     if wishes.plug is None:
         return None
@@ -124,21 +126,23 @@ def _plug(
     to_scene = molds.rotation(rotate) @ turn.T
     level = np.array([0.0, 0.0, found.level])
     if wishes.plug == "auto":
-        made = plugs.offset_plug(found, start)
-        positions = (made.mesh.positions + level) @ to_scene.T + translate
-        return PlugSetup(made, None, replace(made.mesh, positions=positions), np.zeros(3))
+        made, stroke = plugs.offset_plug(found, start)
+        positions = (made.positions + level) @ to_scene.T + translate
+        return Plug(meshes.box_sides(made), stroke, None, replace(made, positions=positions), np.zeros(3))
     with error_context("", "--plug"):
         own = meshes.weld(meshes.read_mesh(wishes.plug, scale=scale))
-        made = plugs.place_plug(replace(own, positions=own.positions @ turn.T - level), found, start)
-    return PlugSetup(made, wishes.plug, None, np.round(translate + to_scene @ made.shift, 9) + 0.0)
+        stroke, shift = plugs.place_plug(replace(own, positions=own.positions @ turn.T - level), found, start)
+    moved = replace(own, positions=own.positions @ turn.T - level + shift)
+    return Plug(meshes.box_sides(moved), stroke, wishes.plug, None, np.round(translate + to_scene @ shift, 9) + 0.0)
 
 
 def _draft_buck(mold: Mesh, wishes: UserChoices, known: dict[str, Any]) -> Draft:
     """A first scene in which a sheet is draped over a buck, by what is `known` already of its `Draft`."""
     made = scene_choices.drape(mold, wishes.direction)
     planform = made.planform
-    area = abs(outlines.area(planform.polygon))
-    width = _width(planform.polygon, area)
+    outline = planform_polygon(planform)
+    area = abs(outlines.area(outline))
+    width = _width(outline, area)
     thickness = wishes.thickness or round_digits(_THICKNESS * width)
     found = made.opening(thickness)
     rotate, translate, polygon = _place(found, planform)
@@ -149,6 +153,7 @@ def _draft_buck(mold: Mesh, wishes: UserChoices, known: dict[str, Any]) -> Draft
         polygon=polygon,
         found=found,
         planform=planform,
+        flange=True,
         rest=None,
         covers=Covers(made.added, made.holes, 0.0),
         width=width,
@@ -172,21 +177,20 @@ def _place(found: Opening, planform: Planform) -> tuple[Array, Array, Array]:
     Returns:
         The mold's rotation [degrees] and translation [m], (3,) each, and the sheet's polygon (k, 2) [m] there.
     """
-    shape = planform.shape
-    axes = shape.axes if isinstance(shape, OrientedRectangle) else np.eye(2)
+    axes = planform.axes if isinstance(planform, OrientedRectangle) else np.eye(2)
     turn = np.eye(3)
     turn[:2, :2] = axes
     rotate = np.round(molds.angles(turn @ found.view.turn), 9) + 0.0
     exact = molds.rotation(rotate)
     # In the plane of the view, then as the mold is turned in the scene.
-    if isinstance(shape, Circle):
-        origin = shape.center
-    elif isinstance(shape, OrientedRectangle):
-        origin = shape.corner
+    if isinstance(planform, Circle):
+        origin = planform.center
+    elif isinstance(planform, OrientedRectangle):
+        origin = planform.corner
     else:
-        origin = 0.5 * (shape.min(0) + shape.max(0))
+        origin = 0.5 * (planform.min(0) + planform.max(0))
     at = exact @ found.view.turn.T @ np.append(origin, found.level)
-    polygon = (planform.polygon - origin) @ axes.T
+    polygon = (planform_polygon(planform) - origin) @ axes.T
     return rotate, np.round(-at, 9) + 0.0, polygon
 
 

@@ -110,6 +110,11 @@ def nodal_fields(mesh: Mesh) -> dict[str, NDArray[np.float64]]:
     return found | mesh.fields
 
 
+def box_sides(mesh: Mesh) -> NDArray[np.float64]:
+    """Sides of the bounding box of a mesh (3,) [m], of the nodes that it uses."""
+    return np.ptp(mesh.positions[np.unique(mesh.triangles)], axis=0)
+
+
 def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
     """Merges coincident nodes and drops unused ones.
 

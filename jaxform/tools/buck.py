@@ -13,7 +13,7 @@ from jaxform.mesh import masks, meshes, outlines, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
 from jaxform.tools import heights, molds, opening, scans
-from jaxform.tools.footprint import Planform
+from jaxform.tools.footprint import Planform, planform_polygon
 from jaxform.tools.heights import Heights, ViewedSurface
 
 Array = NDArray[np.float64]
@@ -285,11 +285,11 @@ def fit_sheet(buck: Buck) -> tuple[Planform, float, Mesh | None]:
     margin = max(min(height, wide + _STEEP * max(height - wide, 0.0)), _LEAST * wide)
     if buck.on_platen:
         for share in _NARROWER:
-            planform = Planform(_enlarge(body, share * margin), True)
+            planform = _enlarge(body, share * margin)
             if _lies_before(planform, buck):
                 return _platen_planform(planform, share, buck), share * margin, None
-    planform = Planform(_enlarge(body, margin), True)
-    mesh = _mesh(planform.shape)
+    planform = _enlarge(body, margin)
+    mesh = _mesh(planform)
     turned = np.column_stack([mesh.positions[:, :2], np.full(len(mesh.positions), buck.base)])
     return planform, margin, Mesh(turned @ buck.view.turn, mesh.triangles)
 
@@ -297,15 +297,16 @@ def fit_sheet(buck: Buck) -> tuple[Planform, float, Mesh | None]:
 def _lies_before(planform: Planform, buck: Buck) -> bool:
     """True when a sheet lies before the mold."""
     # Pixels outside of the view count too.
-    wanted = abs(outlines.area(planform.polygon)) / buck.view.pixel**2
-    return bool((buck.view.inside_polygon(planform.polygon) & buck.view.inside).sum() >= _WITHIN * wanted)
+    polygon = planform_polygon(planform)
+    wanted = abs(outlines.area(polygon)) / buck.view.pixel**2
+    return bool((buck.view.inside_polygon(polygon) & buck.view.inside).sum() >= _WITHIN * wanted)
 
 
 def _platen_planform(planform: Planform, share: float, buck: Buck) -> Planform:
     """The sheet over all of a platen that is narrow beside the body; else the one that there is."""
     corners = outlines.hull(buck.view.places(buck.view.inside))
     around = outlines.smallest_rectangle(corners)
-    whole = Planform(around.enlarge(-_INSET * float(around.sides.min())), True)
+    whole = around.enlarge(-_INSET * float(around.sides.min()))
     return whole if share < _NARROW and _lies_before(whole, buck) else planform
 
 

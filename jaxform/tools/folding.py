@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,29 +18,26 @@ Integers = NDArray[np.integer]
 _WIDE = 2.0  # cells, in boxes: most triangles then need not be cut
 
 
-class _PieceBoxes(NamedTuple):
-    """Boxes of pieces of triangles (n, 3), (n, 3) [m], no wider than a cell, and which triangle each is part of."""
+def _cells_of_boxes(low: Array, high: Array, corner: Array, width: float, shape: Integers) -> tuple[Integers, Integers]:
+    """Cells (n_entry,), ascending, and the boxes (n_entry,) in them, which are no wider than a cell.
 
-    low: Array
-    high: Array
-    owner: Integers
-
-    @classmethod
-    def of(cls, corners: Array, width: float, low: Array, high: Array) -> _PieceBoxes:
-        pieces, owner = short_pieces(corners, width, low, high)
-        return cls(*bounding_boxes(pieces), owner)
-
-    def cells(self, corner: Array, width: float, shape: Integers) -> tuple[Integers, Integers]:
-        """Cells (n_entry,), ascending, and the pieces (n_entry,) in them: at most two along each axis."""
-        first, last = (np.floor((end - corner) / width).astype(np.int64) for end in (self.low, self.high))
-        found = []
-        for step in np.ndindex(2, 2, 2):
-            index = first + step
-            piece = np.flatnonzero(all_columns(index <= last))
-            found.append((np.ravel_multi_index(tuple(index[piece].T), tuple(shape)), piece))
-        cell, piece = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        order = np.argsort(cell, kind="stable")
-        return cell[order], piece[order]
+    Args:
+        low: Lowest corners of the boxes (n, 3) [m].
+        high: Highest corners of the boxes (n, 3) [m].
+        corner: Lowest corner of the first cell (3,) [m].
+        width: Width of the cells [m].
+        shape: Number of cells along each axis (3,).
+    """
+    first, last = (np.floor((end - corner) / width).astype(np.int64) for end in (low, high))
+    found = []
+    # Each box is in at most two cells along each axis.
+    for step in np.ndindex(2, 2, 2):
+        index = first + step
+        piece = np.flatnonzero(all_columns(index <= last))
+        found.append((np.ravel_multi_index(tuple(index[piece].T), tuple(shape)), piece))
+    cell, piece = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = np.argsort(cell, kind="stable")
+    return cell[order], piece[order]
 
 
 def overlapping_pairs(one: Array, other: Array) -> Iterator[tuple[Integers, Integers]]:
@@ -55,20 +51,23 @@ def overlapping_pairs(one: Array, other: Array) -> Iterator[tuple[Integers, Inte
     extent = functools.reduce(np.maximum, (high - low).T)
     width = _WIDE * float(np.exp(np.log(np.maximum(extent, 1e-3 * extent.max())).mean()))
     box = low.min(0), high.max(0)
-    sets = _PieceBoxes.of(one, width, *box), _PieceBoxes.of(other, width, *box)
-    if not len(sets[1].owner):
+    (pieces, owner), (other_pieces, other_owner) = (short_pieces(corners, width, *box) for corners in (one, other))
+    if not len(other_owner):
         return
-    corner = np.min([pieces.low.min(0) for pieces in sets], axis=0)
-    shape = np.max([np.floor((pieces.high - corner) / width).max(0) for pieces in sets], axis=0) + 2
-    (cell, mine), (other_cell, theirs) = (pieces.cells(corner, width, shape.astype(np.int64)) for pieces in sets)
+    (low, high), (other_low, other_high) = bounding_boxes(pieces), bounding_boxes(other_pieces)
+    corner = np.minimum(low.min(0), other_low.min(0))
+    shape = np.max([np.floor((top - corner) / width).max(0) for top in (high, other_high)], axis=0) + 2
+    cells = corner, width, shape.astype(np.int64)
+    cell, mine = _cells_of_boxes(low, high, *cells)
+    other_cell, theirs = _cells_of_boxes(other_low, other_high, *cells)
     begin, end = (np.searchsorted(other_cell, cell, side) for side in ("left", "right"))
     for row, place in expand_ranges(begin, end):
         first, second = mine[row], theirs[place]
         for axis in range(3):
-            over = sets[0].low[first, axis] <= sets[1].high[second, axis]
-            over &= sets[0].high[first, axis] >= sets[1].low[second, axis]
+            over = low[first, axis] <= other_high[second, axis]
+            over &= high[first, axis] >= other_low[second, axis]
             first, second = first[over], second[over]
-        yield sets[0].owner[first], sets[1].owner[second]
+        yield owner[first], other_owner[second]
 
 
 _FIRST = 300  # elements that are checked first

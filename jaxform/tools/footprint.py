@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,46 +30,22 @@ _SIMPLER = 0.5  # pixels, that an outline may be off
 _ALIKE = 0.03  # of the area, by which a rim's polygon may differ from the visible outline
 
 
-class Planform(NamedTuple):
-    """A sheet's planform in the plane of the view: one of them [m].
-
-    Attributes:
-        shape: The disc, rectangle or corners.
-        flange: Whether it is in contact with the mold all round, beyond the opening.
-    """
-
-    shape: Circle | OrientedRectangle | Array
-    flange: bool
-
-    @property
-    def polygon(self) -> Array:
-        """Its corners (k, 2) [m], counter-clockwise."""
-        if isinstance(self.shape, Circle):
-            angle = 2 * np.pi * np.arange(180) / 180
-            return self.shape.center + self.shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        if isinstance(self.shape, OrientedRectangle):
-            share = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-            return self.shape.corner + share * self.shape.sides @ self.shape.axes
-        return self.shape
+Planform = Circle | OrientedRectangle | Array
+"""A sheet's planform in the plane of the view [m]: a disc, a rectangle, or corners (k, 2) counter-clockwise."""
 
 
-@dataclass(frozen=True)
-class _FitRegion:
-    """Input of the fits: the view, the pixels to cover, their points (n, 2) [m], and whether a flange is there."""
-
-    view: Heights
-    covered: Mask
-    points: Array
-    flange: bool
-    width: float
-
-    def contains(self, polygon: Array) -> bool:
-        """True when a polygon lies on the mold."""
-        wanted = self.view.inside_polygon(polygon)
-        return bool(wanted.sum() and (wanted & self.view.inside).sum() >= _WITHIN * wanted.sum())
+def planform_polygon(planform: Planform) -> Array:
+    """The corners (k, 2) [m] of a planform, counter-clockwise."""
+    if isinstance(planform, Circle):
+        angle = 2 * np.pi * np.arange(180) / 180
+        return planform.center + planform.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if isinstance(planform, OrientedRectangle):
+        share = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+        return planform.corner + share * planform.sides @ planform.axes
+    return planform
 
 
-def fit_planform(found: Opening, vertices: Array, triangles: Integers) -> Planform:
+def fit_planform(found: Opening, vertices: Array, triangles: Integers) -> tuple[Planform, bool]:
     """The planform of a sheet that covers an opening: a disc or rectangle where one fits, else an outline.
 
     Args:
@@ -78,15 +53,22 @@ def fit_planform(found: Opening, vertices: Array, triangles: Integers) -> Planfo
         vertices: Vertices of the mold (n, 3) [m], not rotated.
         triangles: Vertex numbers (m, 3).
 
+    Returns:
+        The planform, and whether it is in contact with the mold all round, beyond the opening: it lies on a flange.
+
     Raises:
         InputError: The opening has no outline that a sheet can have.
     """
-    site = _site(found, vertices)
-    full = masks.close_gaps(site.covered, _BRIDGE * site.width / found.view.pixel).sum() * found.view.pixel**2
-    for shape in (_disc(site, full), _rectangle(site, full)):
+    points, flange = _edge_points(found, vertices), _has_flange(found)
+    width = float(np.ptp(points, axis=0).min())
+    full = masks.close_gaps(found.cavity, _BRIDGE * width / found.view.pixel).sum() * found.view.pixel**2
+    corners, view = outlines.hull(points), found.view
+    margins = _margins(width, view.pixel) if flange else []
+    for fit in (_disc, _rectangle):
+        shape = fit(corners, full, margins, view)
         if shape is not None:
-            return Planform(shape, site.flange)
-    return Planform(_outline(site, found, vertices, triangles), site.flange)
+            return shape, flange
+    return _outline(points, found, vertices, triangles), flange
 
 
 def outline(found: Opening, vertices: Array, triangles: Integers) -> Array:
@@ -100,12 +82,17 @@ def outline(found: Opening, vertices: Array, triangles: Integers) -> Array:
     Raises:
         InputError: The opening has no outline that a sheet can have.
     """
-    return _outline(_site(found, vertices), found, vertices, triangles)
+    return _outline(_edge_points(found, vertices), found, vertices, triangles)
 
 
-def _site(found: Opening, vertices: Array) -> _FitRegion:
+def _has_flange(found: Opening) -> bool:
+    """True when the mold reaches beyond the opening all round."""
+    return not found.male and bool(masks.distance(found.view.inside)[found.cavity].min() > _BARE)
+
+
+def _edge_points(found: Opening, vertices: Array) -> Array:
+    """Points (n, 2) [m] of which the hull is that of the opening."""
     view = found.view
-    clear = masks.distance(view.inside)[found.cavity].min()
     turned = vertices @ view.turn.T
     # Where the mesh has corners on the opening's edge, they say better than pixels where it is.
     level = turned[np.abs(turned[:, 2] - found.base) <= 2 * view.pixel, :2]
@@ -114,8 +101,7 @@ def _site(found: Opening, vertices: Array) -> _FitRegion:
     points = view.places(found.cavity)
     if len(exact) >= 3 and _hull_area(exact) > 0.97 * _hull_area(points):
         points = exact
-    low, high = points.min(0), points.max(0)
-    return _FitRegion(view, found.cavity, points, not found.male and bool(clear > _BARE), float((high - low).min()))
+    return points
 
 
 def _hull_area(points: Array) -> float:
@@ -123,49 +109,55 @@ def _hull_area(points: Array) -> float:
     return outlines.area(outlines.hull(points)) if spread[1] > 1e-9 * spread[0] else 0.0
 
 
-def _disc(site: _FitRegion, full: float) -> Circle | None:
-    corners = outlines.hull(site.points)
+def _lies_on(view: Heights, planform: Planform) -> bool:
+    """True when a planform lies on the mold."""
+    wanted = view.inside_polygon(planform_polygon(planform))
+    return bool(wanted.sum() and (wanted & view.inside).sum() >= _WITHIN * wanted.sum())
+
+
+def _disc(corners: Array, full: float, margins: list[float], view: Heights) -> Circle | None:
+    """A disc around a convex polygon (k, 2) [m] of which an area [m^2] is opening, with a margin if there are any."""
     around = outlines.smallest_circle(corners)
-    if not site.flange:
+    if not margins:
         middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
         inner = float(np.linalg.norm(middles - around.center, axis=1).min())
-        return (
-            Circle(around.center, inner) if inner >= _ROUND * around.radius and full >= 0.9 * np.pi * inner**2 else None
-        )
-    for margin in _margins(site):
+        round_enough = inner >= _ROUND * around.radius and full >= 0.9 * np.pi * inner**2
+        return Circle(around.center, inner) if round_enough else None
+    for margin in margins:
         disc = Circle(around.center, around.radius + margin)
-        if full >= _FULL * np.pi * around.radius**2 and site.contains(Planform(disc, True).polygon):
+        if full >= _FULL * np.pi * around.radius**2 and _lies_on(view, disc):
             return disc
     return None
 
 
-def _rectangle(site: _FitRegion, full: float) -> OrientedRectangle | None:
-    corners = outlines.hull(site.points)
+def _rectangle(corners: Array, full: float, margins: list[float], view: Heights) -> OrientedRectangle | None:
+    """A rectangle like `_disc`."""
     around = outlines.smallest_rectangle(corners)
     area = float(np.prod(around.sides))
-    if not site.flange:
+    if not margins:
         square = outlines.area(corners) >= _SQUARE * area and full >= 0.97 * area
         return around if square else None
-    for margin in _margins(site):
-        if full >= _FULL * area and site.contains(Planform(around.enlarge(margin), True).polygon):
+    for margin in margins:
+        if full >= _FULL * area and _lies_on(view, around.enlarge(margin)):
             return around.enlarge(margin)
     return None
 
 
-def _margins(site: _FitRegion) -> list[float]:
-    most = max(_MARGIN * site.width, 2 * site.view.pixel)
+def _margins(width: float, pixel: float) -> list[float]:
+    """Margins [m] to try, for an opening of a width [m] seen in pixels of a side [m]."""
+    most = max(_MARGIN * width, 2 * pixel)
     return [most, 0.5 * most, 0.25 * most]
 
 
-def _outline(site: _FitRegion, found: Opening, vertices: Array, triangles: Integers) -> Array:
-    view = site.view
-    rim = None if site.flange else _rim(found, vertices, triangles)
+def _outline(points: Array, found: Opening, vertices: Array, triangles: Integers) -> Array:
+    view = found.view
+    rim = None if _has_flange(found) else _rim(found, vertices, triangles)
     if rim is not None:
         return rim
-    margin = max(_MARGIN * site.width / view.pixel, 2.0)
-    values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~site.covered))
+    margin = max(_MARGIN * float(np.ptp(points, axis=0).min()) / view.pixel, 2.0)
+    values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~found.cavity))
     if not _is_connected(values > 0):
-        hull = view.inside_polygon(outlines.hull(view.places(site.covered)))
+        hull = view.inside_polygon(outlines.hull(view.places(found.cavity)))
         values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~hull))
     polygon = outlines.contour(values, view.low, view.pixel)
     return _simplify(polygon, _SIMPLER * view.pixel)

@@ -28,6 +28,10 @@ class Plane(NamedTuple):
         return Mesh(positions, mesh.triangles[:, ::-1])
 
 
+Completion = tuple[Mesh, list[Plane]]
+"""The rest of a mold that is cut in a half or a quarter, and the planes in which it is cut."""
+
+
 def _is_closed_by(mold: Mesh) -> bool:
     """True when the open edges of a mold are the rim of its opening: else its cut is taken for one."""
     edges, _ = topology.open_rims(mold.triangles, len(mold.positions))
@@ -73,7 +77,7 @@ class _Lines:
         return np.delete(edges[there], plane.axis, axis=2)
 
 
-def find_completion(mold: Mesh) -> tuple[Mesh, list[Plane]] | None:
+def find_completion(mold: Mesh) -> Completion | None:
     """The rest of an open mold that has no rim by itself, but one together with its images; None if there is none.
 
     A closed solid is whole as it is.

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,10 +10,10 @@ from jaxform.mesh import masks, meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import buck, halves, heights, opening, scans
 from jaxform.tools.buck import Buck
-from jaxform.tools.halves import Plane
-from jaxform.tools.opening import MoldSides
+from jaxform.tools.opening import SideView
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.integer]
 
 _RECESS, _CAVITY = 0.01, 0.1  # of a solid's volume, that a hollow is at most on a buck, and at least in a cavity
 _PLATEN, _WIDE = 1.0, 0.6  # of the body's area and height, that a flange around is at least, to be a platen
@@ -26,44 +23,38 @@ _BOTTOM = 0.1  # of the visible area, that the flat bottom of a cup is at least
 _HANGS = -0.9  # of a direction's z, below which what bulges to there hangs
 
 
-class Verdict(NamedTuple):
-    """The kind of a mold.
+def classify(mold: Mesh) -> tuple[bool, str, halves.Completion | None]:
+    """The kind of a welded mold.
 
-    Attributes:
-        drape: Whether the mold is a buck.
-        doubt: The other kind that it may be, and how to request it; empty where it is clear.
-        rest: The rest of a cavity that is cut in a half or a quarter; None where it is whole.
-        planes: The planes in which it is cut.
+    Returns:
+        Whether the mold is a buck; the other kind that it may be and how to request it, empty where it is clear; the
+        rest of a cavity that is cut in a half or a quarter, with the planes.
     """
-
-    drape: bool
-    doubt: str = ""
-    rest: Mesh | None = None
-    planes: Sequence[Plane] = ()
-
-
-def classify(mold: Mesh) -> Verdict:
-    """The kind of a welded mold."""
     size = meshes.size(mold.positions)
-    sides = opening.opening_sides(heights.make_viewed_surface(mold.positions, mold.triangles), size)
+    hollow, raised, _ = opening.opening_sides(heights.make_viewed_surface(mold.positions, mold.triangles), size)
     rims = scans.find_rims(mold)
-    return _solid(mold, sides, size) if rims is None else _shell(mold, rims, sides, size)
+    if rims is None:
+        return *_classify_solid(mold, hollow, raised, size), None
+    completion = None if _has_rim(hollow, size) else halves.find_completion(mold)
+    if completion is not None:
+        return False, "", completion
+    return *_classify_shell(mold, rims, hollow, size), None
 
 
-def _has_rim(sides: MoldSides, size: float) -> bool:
-    return sides.hollow.share >= opening.RIM and sides.hollow.hollow >= opening.HOLLOW * size**3
+def _has_rim(hollow: SideView, size: float) -> bool:
+    return hollow.share >= opening.RIM and hollow.hollow >= opening.HOLLOW * size**3
 
 
-def _solid(mold: Mesh, sides: MoldSides, size: float) -> Verdict:
+def _classify_solid(mold: Mesh, hollow: SideView, raised: SideView, size: float) -> tuple[bool, str]:
     volume = _volume(mold)
     share = _held_volume(mold) / volume if volume else np.inf
     if share > _CAVITY:
-        return Verdict(False)
-    if share < _RECESS or (sides.male and sides.raised.share >= opening.RIM):
-        return Verdict(True)
-    if _has_rim(sides, size):
-        return Verdict(False, "a solid with a shallow hollow: --drape forms over it")
-    return Verdict(True, "a solid with a recess: --cavity forms into that")
+        return False, ""
+    if share < _RECESS or (opening.is_male(hollow, raised) and raised.share >= opening.RIM):
+        return True, ""
+    if _has_rim(hollow, size):
+        return False, "a solid with a shallow hollow: --drape forms over it"
+    return True, "a solid with a recess: --cavity forms into that"
 
 
 def _volume(mold: Mesh) -> float:
@@ -90,27 +81,24 @@ def _held_volume_above(view: heights.Heights) -> float:
     return pixels * view.pixel**2 * (low - high) / _LEVELS
 
 
-def _shell(mold: Mesh, rims: scans.Rims, sides: MoldSides, size: float) -> Verdict:
+def _classify_shell(mold: Mesh, rims: list[Integers], hollow: SideView, size: float) -> tuple[bool, str]:
     direction = scans.outward_direction(mold, rims)
     outward = scans.faces_outward(mold, direction)
-    if not _has_rim(sides, size):
-        completion = halves.find_completion(mold)
-        if completion is not None:
-            return Verdict(False, "", *completion)
+    if not _has_rim(hollow, size):
         # Without a rim at one height it is a scan, of the inside only where it faces inwards.
-        inside = outward is False and sides.hollow.share >= opening.LEAST_RIM
+        inside = outward is False and hollow.share >= opening.LEAST_RIM
         other = "--drape forms over its outside" if inside else "--cavity forms into its inside"
-        return Verdict(not inside, f"an open surface with an uneven rim: {other}")
+        return not inside, f"an open surface with an uneven rim: {other}"
     if outward is False:
-        return Verdict(False)
+        return False, ""
     stands = buck.find_buck(mold, direction)
     if stands.on_platen:
         drape = bool(outward) and _is_platen(stands)
-        return Verdict(drape, "an open surface with a flange: " + _other_choice(drape))
+        return drape, "an open surface with a flange: " + _other_choice(drape)
     # An open bowl stands on its bottom, as a rule, and a buck on its rim; a cup has a flat bottom, a scan has none.
     flat = int((np.abs(stands.view.height - stands.top) <= opening.FLAT * size).sum())
     drape = bool(outward) and float(direction[2]) > _HANGS and flat < _BOTTOM * int(stands.view.inside.sum())
-    return Verdict(drape, "an open surface with an even rim: " + _other_choice(drape))
+    return drape, "an open surface with an even rim: " + _other_choice(drape)
 
 
 def _other_choice(drape: bool) -> str:

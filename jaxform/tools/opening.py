@@ -43,7 +43,7 @@ _FEW = 6  # directions of flat faces that are tried beside the axes
 _SPECK = 0.005  # of a cavity's area: less is a hole for a bolt
 
 
-class _SideView(NamedTuple):
+class SideView(NamedTuple):
     """A view, the height of its rim [m], and the volumes [m^3] behind the rim and before it."""
 
     view: Heights
@@ -94,9 +94,9 @@ def find_opening(
     """
     size = meshes.size(vertices)
     surface = heights.make_viewed_surface(vertices, triangles)
-    sides = opening_sides(surface, size, direction)
-    male = sides.male if male is None else male
-    best = sides.raised if male else sides.hollow
+    hollow, raised, others = opening_sides(surface, size, direction)
+    male = is_male(hollow, raised) if male is None else male
+    best = raised if male else hollow
     if max(best.hollow, best.raised) < HOLLOW * size**3 or best.share < LEAST_RIM:
         problem = "no opening was found: no side has a cavity within a level rim, nor a plug on a base"
         remedy = "give --drape where the sheet is formed over the mold, or --direction for the side it comes from"
@@ -105,37 +105,35 @@ def find_opening(
     look = _view_side(view, size)
     if male:
         return _male(look, size)
-    return replace(_female(_limit_to_rim(look, size), size), others=tuple(sides.others))
+    return replace(_female(_limit_to_rim(look, size), size), others=tuple(others))
 
 
 def is_rimmed(vertices: Array, triangles: Integers) -> bool:
     """True when a mold (n, 3) [m], (m, 3), shows a cavity within a rim, or a plug on a base, from any side."""
     size = meshes.size(vertices)
-    sides = opening_sides(heights.make_viewed_surface(vertices, triangles), size)
-    best = sides.raised if sides.male else sides.hollow
+    hollow, raised, _ = opening_sides(heights.make_viewed_surface(vertices, triangles), size)
+    best = raised if is_male(hollow, raised) else hollow
     return best.share >= RIM and max(best.hollow, best.raised) >= HOLLOW * size**3
 
 
-class MoldSides(NamedTuple):
-    """Views of the most hollow side, and of the one from which most stands out; directions (3,) to other hollows."""
-
-    hollow: _SideView
-    raised: _SideView
-    others: list[Array]
-
-    @property
-    def male(self) -> bool:
-        """True when much more stands out than is hollow."""
-        return self.raised.raised > _FAVOUR * self.hollow.hollow
+def is_male(hollow: SideView, raised: SideView) -> bool:
+    """True when much more stands out of the one side than is hollow from the other."""
+    return raised.raised > _FAVOUR * hollow.hollow
 
 
-def opening_sides(surface: heights.ViewedSurface, size: float, direction: Array | None = None) -> MoldSides:
+def opening_sides(
+    surface: heights.ViewedSurface, size: float, direction: Array | None = None
+) -> tuple[SideView, SideView, list[Array]]:
     """The sides from which a mold may be formed.
 
     Args:
         surface: Surface of the mold.
         size: Size of the mold [m].
         direction: Unit vector (3,) to the only side that counts; all by default.
+
+    Returns:
+        The views of the most hollow side and of the one from which most stands out, and directions (3,) to other
+        hollows.
     """
     turns = (
         _candidate_rotations(surface.vertices, surface.triangles) if direction is None else [rotation_to_z(-direction)]
@@ -145,19 +143,19 @@ def opening_sides(surface: heights.ViewedSurface, size: float, direction: Array 
     hollow = _first_best(_has_rim(inner), lambda look: look.hollow)
     others = [-look.view.turn[2] for look in inner if look.share >= RIM and look.hollow >= _OTHERS * hollow.hollow]
     others = [side for side in others if side @ hollow.view.turn[2] > -_SAME]
-    return MoldSides(hollow, _first_best(_has_rim(outer), lambda look: look.raised), others)
+    return hollow, _first_best(_has_rim(outer), lambda look: look.raised), others
 
 
-def _has_rim(looks: list[_SideView]) -> list[_SideView]:
+def _has_rim(looks: list[SideView]) -> list[SideView]:
     return [look for look in looks if look.share >= RIM] or looks
 
 
-def _first_best(looks: list[_SideView], of: Callable[[_SideView], float]) -> _SideView:
+def _first_best(looks: list[SideView], of: Callable[[SideView], float]) -> SideView:
     """The first of nearly equal views, which is along an axis: a flange that is a little uneven is not tilted."""
     return next(look for look in looks if of(look) >= _NEARLY * max(map(of, looks)))
 
 
-def _female(look: _SideView, size: float) -> Opening:
+def _female(look: SideView, size: float) -> Opening:
     view = look.view
     flange = view.height[np.abs(view.height - look.level) <= FLAT * size]
     deep = view.inside & ~(view.height <= look.level + FLAT * size)
@@ -168,13 +166,13 @@ def _female(look: _SideView, size: float) -> Opening:
     return Opening(view, float(flange.min()), look.level, cavity, False, look.share, depth)
 
 
-def _male(look: _SideView, size: float) -> Opening:
+def _male(look: SideView, size: float) -> Opening:
     view = look.view
     top = float(view.height.min())
     return Opening(view, top, look.level, view.inside, True, look.share, look.level - top)
 
 
-def _limit_to_rim(look: _SideView, size: float) -> _SideView:
+def _limit_to_rim(look: SideView, size: float) -> SideView:
     """The view within the rim of what holds most, without what is outside of that rim; else the view as it is.
 
     Thus handles, lips and skirts do not count, and a rim may stand above the flange that surrounds it.
@@ -236,7 +234,7 @@ def _remove_specks(deep: Mask, height: Array) -> Mask:
     return (large & ((2 * bottom >= area) | (area == area.max())))[part] & deep
 
 
-def _view_side(view: Heights, size: float) -> _SideView:
+def _view_side(view: Heights, size: float) -> SideView:
     """The view of a side; its rim's height is the one that most of the edge has."""
     tolerance = FLAT * size
     level, share = view.edge_level(tolerance)
@@ -246,7 +244,7 @@ def _view_side(view: Heights, size: float) -> _SideView:
     cell = view.pixel**2
     hollow, raised = float(np.minimum(rise, reach)[rise > tolerance].sum()), float(-rise[rise < -tolerance].sum())
     # A rim with a few pins is one, and so is a base in which there are holes.
-    return _SideView(view, level, share, max(0.0, hollow - 4 * raised) * cell, raised * cell)
+    return SideView(view, level, share, max(0.0, hollow - 4 * raised) * cell, raised * cell)
 
 
 def _candidate_rotations(vertices: Array, triangles: Integers) -> list[Array]:

@@ -5,13 +5,12 @@ On the host.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, topology
+from jaxform.tools.halves import Plane
 from jaxform.tools.molds import MoldShape
 
 Array = NDArray[np.float64]
@@ -21,19 +20,7 @@ _RIM = 0.5  # of the length of the open edges, that lies in the parting plane at
 _LEAST = 1e-9  # of the land's area: a smaller piece comes from rounding
 
 
-class PartingPlane(NamedTuple):
-    """The plane across an axis, 0 to 2 for x to z, in which a mold half is open: its place [m] along the axis.
-
-    Attributes:
-        axis: The axis.
-        level: Place along the axis [m].
-    """
-
-    axis: int
-    level: float
-
-
-def find_parting_plane(shape: MoldShape) -> PartingPlane:
+def find_parting_plane(shape: MoldShape) -> Plane:
     """The plane across x, y or z in which most of the open edges of a mold half lie.
 
     Raises:
@@ -41,13 +28,13 @@ def find_parting_plane(shape: MoldShape) -> PartingPlane:
     """
     edges = topology.boundary_edges(shape.triangles)
     used = shape.vertices[np.unique(shape.triangles)]
-    near, best = _FLAT * meshes.size(used), (0.0, PartingPlane(0, 0.0))
+    near, best = _FLAT * meshes.size(used), (0.0, Plane(0, 0.0))
     ends = shape.vertices[edges]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     for axis in range(3):
         for level in (used[:, axis].min(), used[:, axis].max()):
             there = (np.abs(ends[..., axis] - level) <= near).all(1)
-            best = max(best, (float(length[there].sum()), PartingPlane(axis, float(level))), key=lambda each: each[0])
+            best = max(best, (float(length[there].sum()), Plane(axis, float(level))), key=lambda each: each[0])
     if not len(edges) or best[0] < _RIM * length.sum():
         raise InputError(
             "needs a mold half that is open in a plane across x, y or z",
@@ -97,7 +84,7 @@ def add_land(shape: MoldShape, width: float) -> tuple[MoldShape, int]:
     return _join(shape, plane, flat)
 
 
-def _outlines(shape: MoldShape, plane: PartingPlane) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
+def _outlines(shape: MoldShape, plane: Plane) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
     """The closed loops (k,) of vertices of the cavity's edge in the plane, and the two ends (2,) of each opening.
 
     A chain of edges that leaves the plane, as at a neck, is closed by the straight line between its ends.
@@ -142,7 +129,7 @@ def _before_opening(ends: Array, cavity, far: float):
     return shapely.Polygon([first, last, last + far * normal, first + far * normal])
 
 
-def _join(shape: MoldShape, plane: PartingPlane, flat: Array) -> tuple[MoldShape, int]:
+def _join(shape: MoldShape, plane: Plane, flat: Array) -> tuple[MoldShape, int]:
     """The mold with triangles (n, 3, 2) [m] in the plane, which share its vertices."""
     places = np.insert(flat.reshape(-1, 2), plane.axis, plane.level, axis=1)
     vertices = np.concatenate([shape.vertices, places])

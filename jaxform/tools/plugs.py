@@ -6,8 +6,6 @@ into the cavity. On the host.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,27 +25,7 @@ _GAP = 0.03  # of the depth, that is left between a user's plug and the mold
 _LEAST = 0.1  # of the depth, that a plug goes at least
 
 
-@dataclass(frozen=True)
-class Plug:
-    """A plug before the sheet.
-
-    Attributes:
-        mesh: Its surface, where it starts.
-        stroke: The way [m] that it goes into the cavity.
-        shift: Translation (3,) [m] from where a user's mesh was.
-    """
-
-    mesh: Mesh
-    stroke: float
-    shift: Array
-
-    @property
-    def size(self) -> Array:
-        """Sides of its box (3,) [m]."""
-        return np.ptp(self.mesh.positions[np.unique(self.mesh.triangles)], axis=0)
-
-
-def offset_plug(found: Opening, clearance: float) -> Plug:
+def offset_plug(found: Opening, clearance: float) -> tuple[Mesh, float]:
     """A plug in the shape of a cavity, narrower and less deep, with a rounded edge.
 
     Its outline keeps a distance of an eighth of the cavity's width from the cavity's, as seen from the widest place;
@@ -56,6 +34,9 @@ def offset_plug(found: Opening, clearance: float) -> Plug:
     Args:
         found: The cavity.
         clearance: Distance [m] from the sheet at which it starts.
+
+    Returns:
+        Its surface, where it starts, and the way [m] that it goes into the cavity.
     """
     room = masks.distance(found.cavity) * found.view.pixel
     off = (1.0 - WIDTH) * room.max()
@@ -77,7 +58,7 @@ def offset_plug(found: Opening, clearance: float) -> Plug:
     back = np.column_stack([rings[-1], np.full(_ANGLES, top)])
     vertices = np.concatenate([surface, back, [[*center, top]]])
     stroke = deepest + clearance
-    return Plug(Mesh(vertices - [0.0, 0.0, stroke], _closed_rings(_RINGS + 1, _ANGLES), {}), stroke, np.zeros(3))
+    return Mesh(vertices - [0.0, 0.0, stroke], _closed_rings(_RINGS + 1, _ANGLES), {}), stroke
 
 
 def _middle(found: Opening, room: Array) -> Array:
@@ -130,8 +111,8 @@ def _closed_rings(rings: int, count: int) -> NDArray[np.int32]:
     return np.concatenate(bands).astype(np.int32)
 
 
-def place_plug(mesh: Mesh, found: Opening, clearance: float) -> Plug:
-    """A user's plug before the sheet: where it is, or in the middle of the cavity where it is beside it.
+def place_plug(mesh: Mesh, found: Opening, clearance: float) -> tuple[float, Array]:
+    """The way of a user's plug before the sheet: where it is, or in the middle of the cavity where it is beside it.
 
     It goes to `DEPTH` of the cavity's depth, or less far, where it would meet the mold.
 
@@ -139,6 +120,9 @@ def place_plug(mesh: Mesh, found: Opening, clearance: float) -> Plug:
         mesh: The plug, in the axes of the view, z from the clamp plane.
         found: The cavity.
         clearance: Distance [m] from the sheet at which it starts.
+
+    Returns:
+        The way [m] that it goes into the cavity, and the translation (3,) [m] to where it starts.
 
     Raises:
         InputError: It does not fit into the cavity.
@@ -159,4 +143,4 @@ def place_plug(mesh: Mesh, found: Opening, clearance: float) -> Plug:
         )
         remedy = "give it in the axes and units of the mold's file, with its end towards the bottom, or --plug auto"
         raise InputError(problem, remedy)
-    return Plug(Mesh(mesh.positions + shift, mesh.triangles, {}), stroke, shift)
+    return stroke, shift

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,39 +19,17 @@ _SHORT = 1e-9
 _FLAT = 1e-6  # of the largest moment of a piece's areas, the second one of a flat piece
 
 
-class Rims(NamedTuple):
-    """Open rims of a mold.
-
-    Attributes:
-        edges: Edges of all rims (k, 2), vertex numbers.
-        rim: The number (k,) of the rim of each.
-        spanned: Vector areas (n_rim, 3) [m^2], without sense.
-    """
-
-    edges: Integers
-    rim: Integers
-    spanned: Array
-
-    @property
-    def largest(self) -> int:
-        """The number of the rim that spans most."""
-        return int(np.argmax(np.linalg.norm(self.spanned, axis=1)))
-
-
-def find_rims(mold: Mesh) -> Rims | None:
-    """The open rims of a mold, seams left out; None where it is closed, but for cracks."""
+def find_rims(mold: Mesh) -> list[Integers] | None:
+    """Edges (k, 2) of each open rim of a mold, seams left out; None where it is closed, but for cracks."""
     edges, rim = topology.open_rims(_curved_triangles(mold), len(mold.positions))
     if not len(edges):
         return None
     seams = covers.find_seams(mold.positions, edges, covers.SEAM * meshes.size(mold.positions))
     in_seam = np.bincount(rim, seams) > 0.5 * np.bincount(rim)
-    edges, rim = edges[~in_seam[rim]], rim[~in_seam[rim]]
-    if not len(edges):
-        return None
-    rim = np.unique(rim, return_inverse=True)[1]
-    spanned = np.array([_vector_area(mold.positions, edges[rim == one]) for one in range(rim.max() + 1)])
+    rims = [edges[rim == one] for one in np.unique(rim) if not in_seam[one]]
     total = volumes.areas(mold.positions, mold.triangles).sum()
-    return Rims(edges, rim, spanned) if np.linalg.norm(spanned, axis=1).max() > _OPEN * total else None
+    largest = max((np.linalg.norm(_vector_area(mold.positions, one)) for one in rims), default=0.0)
+    return rims if largest > _OPEN * total else None
 
 
 def _curved_triangles(mold: Mesh) -> Integers:
@@ -96,12 +72,14 @@ def facing_fraction(mold: Mesh, direction: Array) -> float:
     return float(along.sum() / max(np.abs(along).sum(), _SHORT * area.sum()))
 
 
-def outward_direction(mold: Mesh, rims: Rims) -> Array:
+def outward_direction(mold: Mesh, rims: list[Integers]) -> Array:
     """The unit vector (3,) across the largest rim to the side on which the surface bulges; an axis where it is near."""
-    normal = rims.spanned[rims.largest] / np.linalg.norm(rims.spanned[rims.largest])
+    spanned = np.array([_vector_area(mold.positions, edges) for edges in rims])
+    largest = int(np.argmax(np.linalg.norm(spanned, axis=1)))
+    normal = spanned[largest] / np.linalg.norm(spanned[largest])
     area = volumes.areas(mold.positions, mold.triangles)
     middle = np.average(mold.positions[mold.triangles].mean(1), axis=0, weights=area)
-    rim = mold.positions[rims.edges[rims.rim == rims.largest]].mean((0, 1))
+    rim = mold.positions[rims[largest]].mean((0, 1))
     normal = normal * (1.0 if normal @ (middle - rim) >= 0 else -1.0)
     axis = int(np.argmax(np.abs(normal)))
     if abs(normal[axis]) >= _ALONG:
@@ -115,19 +93,19 @@ def faces_outward(mold: Mesh, direction: Array) -> bool | None:
     return None if abs(share) < _FACES else share > 0
 
 
-def close_rims(mold: Mesh, rims: Rims, turn: Array, base: float) -> tuple[list[Mesh], list[Mesh]]:
+def close_rims(mold: Mesh, rims: list[Integers], turn: Array, base: float) -> tuple[list[Mesh], list[Mesh]]:
     """Walls from the outer rims of a mold down to a base, and covers on its holes, after turning.
 
     Args:
         mold: Welded, not turned.
-        rims: Its open rims.
+        rims: Edges (k, 2) of its open rims.
         turn: Rotation (3, 3), after which the base is where z is largest.
         base: Height of the base [m], after turning.
     """
     turned = mold.positions @ turn.T
     tolerance = opening.FLAT * meshes.size(turned)
     walls, fans = [], []
-    for line, outer in zip(_lines(rims), _outer(mold, rims, turned), strict=True):
+    for line, outer in zip(rims, _outer(mold, rims, turned), strict=True):
         if not outer:
             fans.append(covers.fan(turned[line]))
         elif (turned[line][..., 2] < base - tolerance).any():
@@ -135,15 +113,11 @@ def close_rims(mold: Mesh, rims: Rims, turn: Array, base: float) -> tuple[list[M
     return walls, fans
 
 
-def _lines(rims: Rims) -> list[Integers]:
-    return [rims.edges[rims.rim == one] for one in range(len(rims.spanned))]
-
-
-def _outer(mold: Mesh, rims: Rims, turned: Array) -> NDArray[np.bool_]:
+def _outer(mold: Mesh, rims: list[Integers], turned: Array) -> NDArray[np.bool_]:
     """Mask of the outer rims: of those of one piece the one that is nearest to the base."""
     piece = topology.components(mold.triangles, len(turned))
-    depth = np.array([turned[line][..., 2].mean() for line in _lines(rims)])
-    owner = np.array([piece[line[0, 0]] for line in _lines(rims)])
+    depth = np.array([turned[line][..., 2].mean() for line in rims])
+    owner = np.array([piece[line[0, 0]] for line in rims])
     lowest = np.full(piece.max() + 1, -np.inf)
     np.maximum.at(lowest, owner, depth)
     return depth >= lowest[owner]

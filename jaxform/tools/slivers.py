@@ -10,8 +10,6 @@ carried along, so that rounds do not add up to more (compare Cohen et al., Simpl
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,24 +27,8 @@ _TURN = 0.5  # cosine of the angle by which a triangle may turn
 _FLATTEST = 1e-6  # height over length of a triangle that is made
 
 
-class _Edges(NamedTuple):
-    """The edges of a mesh: ends (k, 2), the lower first; keys (k,), ascending; of how many triangles each is."""
-
-    ends: Integers
-    key: Integers
-    count: Integers
-
-
-class _Collapses(NamedTuple):
-    """Vertices (k,) that are to be moved into others, their targets (k,), along edges of a length (k,) [m]."""
-
-    vertex: Integers
-    target: Integers
-    length: Array
-
-    def only(self, chosen: Mask | Integers) -> _Collapses:
-        """Some of them."""
-        return _Collapses(self.vertex[chosen], self.target[chosen], self.length[chosen])
+_Edges = tuple[Integers, Integers, Integers]
+"""The edges of a mesh: ends (k, 2), the lower first; keys (k,), ascending; of how many triangles each is."""
 
 
 def merge_slivers(vertices: Array, triangles: NDArray[np.integer]) -> tuple[Array, NDArray[np.int32], Integers]:
@@ -72,15 +54,15 @@ def collapse_short_sides(places: Array, left: Integers) -> tuple[Array, NDArray[
     random, refused = np.random.default_rng(0), np.zeros(0, np.int64)
     for _ in range(_MOST_ROUNDS):
         edges = _edges(left, len(places))
-        wanted = _wanted(places, left, edges, refused)
-        if not len(wanted.vertex):
+        wanted, length = _wanted_collapses(places, left, edges, refused)
+        if not len(wanted):
             break
         fits, total = _fitting(places, left, edges, wanted, error, tolerance)
-        refused = np.union1d(refused, (wanted.vertex * len(places) + wanted.target)[~fits])
-        chosen = _independent(edges, wanted.only(fits), len(places), random)
-        moved, kept, chosen = _collapsed(left, edges, chosen, len(places))
+        refused = np.union1d(refused, (wanted[:, 0] * len(places) + wanted[:, 1])[~fits])
+        chosen = _independent(edges, wanted[fits], length[fits], len(places), random)
+        moved, kept, chosen = _collapse(left, edges, chosen, len(places))
         vertex_error = np.full(len(places), -1.0)
-        vertex_error[chosen.vertex] = total[chosen.vertex]
+        vertex_error[chosen[:, 0]] = total[chosen[:, 0]]
         error = np.maximum(error, vertex_error[left].max(1))[kept]
         left, source = moved[kept], source[kept]
     used, renumbered = np.unique(left, return_inverse=True)
@@ -108,43 +90,47 @@ def _edges(triangles: Integers, count: int) -> _Edges:
     key = np.sort(_side_keys(triangles, count))
     first = np.flatnonzero(np.diff(key, prepend=-1))
     key, times = key[first], np.diff(first, append=len(key))
-    return _Edges(np.stack([key // count, key % count], axis=1), key, times)
+    return np.stack([key // count, key % count], axis=1), key, times
 
 
-def _wanted(places: Array, triangles: Integers, edges: _Edges, refused: Integers) -> _Collapses:
-    """The shortest collapse of each vertex along a short side of a sliver, unless it was refused before."""
-    count = len(places)
+def _wanted_collapses(places: Array, triangles: Integers, edges: _Edges, refused: Integers) -> tuple[Integers, Array]:
+    """The shortest collapse of each vertex along a short side of a sliver, unless it was refused before.
+
+    Returns:
+        Vertices and the targets that they are moved to (k, 2), and the lengths of these ways (k,) [m].
+    """
+    count, (ends, edge_key, times) = len(places), edges
     key = _side_keys(triangles, count)
-    short = np.zeros(len(edges.key), bool)
-    short[np.searchsorted(edges.key, key[_short_sides(places[triangles]).ravel()])] = True
-    rim = edges.count == 1
-    rims = np.bincount(edges.ends[rim].ravel(), minlength=count)
+    short = np.zeros(len(edge_key), bool)
+    short[np.searchsorted(edge_key, key[_short_sides(places[triangles]).ravel()])] = True
+    rim = times == 1
+    rims = np.bincount(ends[rim].ravel(), minlength=count)
     # On an open edge a vertex moves along it; where three walls meet, or two edges, none moves.
     held = (rims > 0) & (rims != 2)
-    held[edges.ends[edges.count > 2]] = True
-    way = np.concatenate([edges.ends[short], edges.ends[short][:, ::-1]])
+    held[ends[times > 2]] = True
+    way = np.concatenate([ends[short], ends[short][:, ::-1]])
     along = np.tile(rim[short], 2)
     way = way[~held[way[:, 0]] & (along | (rims[way[:, 0]] == 0))]
     way = way[~np.isin(way[:, 0] * count + way[:, 1], refused)]
     length = np.linalg.norm(places[way[:, 0]] - places[way[:, 1]], axis=1)
     order = np.lexsort((length, way[:, 0]))
     first = order[np.flatnonzero(np.diff(way[order, 0], prepend=-1))]
-    return _Collapses(way[first, 0], way[first, 1], length[first])
+    return way[first], length[first]
 
 
 def _fitting(
-    places: Array, triangles: Integers, edges: _Edges, wanted: _Collapses, error: Array, tolerance: float
+    places: Array, triangles: Integers, edges: _Edges, wanted: Integers, error: Array, tolerance: float
 ) -> tuple[Mask, Array]:
     """Mask (k,) of the wanted collapses that keep the surface in place, and the bound for each vertex (n,) [m]."""
     count = len(places)
     target = np.full(count, -1)
-    target[wanted.vertex] = wanted.target
+    target[wanted[:, 0]] = wanted[:, 1]
     row, corner = np.nonzero(target[triangles] >= 0)
     vertex = triangles[row, corner]
     goal, a, b = target[vertex], triangles[row, (corner + 1) % 3], triangles[row, (corner + 2) % 3]
     total = np.zeros(count)
     np.maximum.at(total, vertex, error[row])
-    bad = ~_linked(edges, (vertex, goal, a, b), count)
+    bad = ~_linked(edges[1], (vertex, goal, a, b), count)
     stays = (goal != a) & (goal != b)
     row, vertex, goal, a, b = (each[stays] for each in (row, vertex, goal, a, b))
     away, turned = _deviations(places, (vertex, goal, a, b))
@@ -155,7 +141,7 @@ def _fitting(
     np.maximum.at(beyond, vertex, away)
     beyond = np.maximum(beyond, _off_the_rim(places, edges, target))
     total += np.maximum(beyond, left_behind)
-    return (~bad & (total <= tolerance))[wanted.vertex], total
+    return (~bad & (total <= tolerance))[wanted[:, 0]], total
 
 
 def _deviations(places: Array, star: tuple[Integers, ...]) -> tuple[Array, Mask]:
@@ -173,7 +159,8 @@ def _deviations(places: Array, star: tuple[Integers, ...]) -> tuple[Array, Mask]
 
 def _off_the_rim(places: Array, edges: _Edges, target: Integers) -> Array:
     """The distances (n,) [m] of an open edge's vertices from the edge after they have moved to their targets."""
-    ends = edges.ends[edges.count == 1]
+    every, _, times = edges
+    ends = every[times == 1]
     begin, end = np.concatenate([ends, ends[:, ::-1]]).T
     other = (target[begin] >= 0) & (target[begin] != end)
     begin, end = begin[other], end[other]
@@ -182,7 +169,7 @@ def _off_the_rim(places: Array, edges: _Edges, target: Integers) -> Array:
     return away
 
 
-def _linked(edges: _Edges, star: tuple[Integers, ...], count: int) -> Mask:
+def _linked(edge_key: Integers, star: tuple[Integers, ...], count: int) -> Mask:
     """At which vertices (n,) the star (vertex, target, a, b) can be collapsed without folding the mesh onto itself.
 
     Vertex and target have no common neighbours but those across from their edge.
@@ -194,38 +181,39 @@ def _linked(edges: _Edges, star: tuple[Integers, ...], count: int) -> Mask:
     target = np.zeros(count, np.int64)
     target[vertex] = goal
     key = np.minimum(target[one], neighbour) * count + np.maximum(target[one], neighbour)
-    at = np.minimum(np.searchsorted(edges.key, key), len(edges.key) - 1)
-    common = np.bincount(one[edges.key[at] == key], minlength=count)
+    at = np.minimum(np.searchsorted(edge_key, key), len(edge_key) - 1)
+    common = np.bincount(one[edge_key[at] == key], minlength=count)
     return common == across
 
 
-def _independent(edges: _Edges, some: _Collapses, count: int, random: np.random.Generator) -> _Collapses:
-    """Collapses none of whose vertices are neighbours, short ones first."""
-    rank = np.full(count, np.inf)
-    rank[some.vertex] = some.length * random.uniform(1.0, 2.0, len(some.vertex))
+def _independent(edges: _Edges, some: Integers, length: Array, count: int, random: np.random.Generator) -> Integers:
+    """Those of some collapses (k, 2) of lengths (k,) [m] none of whose vertices are neighbours, short ones first."""
+    ends, rank = edges[0], np.full(count, np.inf)
+    rank[some[:, 0]] = length * random.uniform(1.0, 2.0, len(some))
     chosen = np.zeros(count, bool)
     for _ in range(2):
-        one, other = edges.ends[np.isfinite(rank[edges.ends]).all(1)].T
+        one, other = ends[np.isfinite(rank[ends]).all(1)].T
         first = np.isfinite(rank)
         first[np.where(rank[one] < rank[other], other, one)] = False
         chosen |= first
         # What is beside a chosen one is none.
         rank[first] = np.inf
-        rank[edges.ends[first[edges.ends].any(1)].ravel()] = np.inf
-    return some.only(chosen[some.vertex])
+        rank[ends[first[ends].any(1)].ravel()] = np.inf
+    return some[chosen[some[:, 0]]]
 
 
-def _collapsed(triangles: Integers, edges: _Edges, chosen: _Collapses, count: int) -> tuple[Integers, Mask, _Collapses]:
+def _collapse(triangles: Integers, edges: _Edges, chosen: Integers, count: int) -> tuple[Integers, Mask, Integers]:
     """The triangles with vertices moved, which of them are kept (m,), and the collapses that were made."""
-    walls = edges.key[edges.count > 2]
+    _, key, times = edges
+    walls = key[times > 2]
     while True:
         new = np.arange(count)
-        new[chosen.vertex] = chosen.target
+        new[chosen[:, 0]] = chosen[:, 1]
         moved = new[triangles]
         kept = (moved != np.roll(moved, 1, axis=1)).all(1)
-        after = _edges(moved[kept], count)
+        ends, key, times = _edges(moved[kept], count)
         # Two collapses side by side may make the same edge.
-        doubled = after.ends[(after.count > 2) & ~np.isin(after.key, walls)]
+        doubled = ends[(times > 2) & ~np.isin(key, walls)]
         if not len(doubled):
             return moved, kept, chosen
-        chosen = chosen.only(~np.isin(chosen.target, doubled))
+        chosen = chosen[~np.isin(chosen[:, 1], doubled)]

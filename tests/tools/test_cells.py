@@ -27,7 +27,7 @@ def mold(name: str, degrees: tuple[float, ...] = (0.0, 0.0, 0.0), fine: float = 
 
 def close_bowl(shape: Mesh) -> tuple[opening.Opening, np.ndarray, covers.Covers]:
     found = opening.find_opening(shape.positions, shape.triangles, male=False)
-    polygon = footprint.fit_planform(found, shape.positions, shape.triangles).polygon
+    polygon = footprint.planform_polygon(footprint.fit_planform(found, shape.positions, shape.triangles)[0])
     return found, polygon, covers.cover(found, polygon, shape)
 
 

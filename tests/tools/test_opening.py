@@ -61,32 +61,34 @@ def test_a_cup_is_found_from_its_open_side(degrees):
     assert not found.male and found.rim == 1.0
     origin = found.view.turn @ [0.3, -0.2, 0.5]
     np.testing.assert_allclose([found.level, found.depth], [origin[2], 0.05], atol=1e-6)
-    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
-    assert isinstance(sheet.shape, Circle) and sheet.flange
-    np.testing.assert_allclose(sheet.shape.center, origin[:2], atol=2e-4)
-    assert 0.0405 < sheet.shape.radius < 0.045
-    assert covers.cover(found, sheet.polygon, mold).mesh is None
+    sheet, flange = footprint.fit_planform(found, mold.positions, mold.triangles)
+    assert isinstance(sheet, Circle) and flange
+    np.testing.assert_allclose(sheet.center, origin[:2], atol=2e-4)
+    assert 0.0405 < sheet.radius < 0.045
+    assert covers.cover(found, footprint.planform_polygon(sheet), mold).mesh is None
 
 
 def test_a_bare_cup_has_a_disc_inside_its_rim():
     mold = cup(16)
     found = opening.find_opening(mold.positions, mold.triangles)
-    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
-    assert isinstance(sheet.shape, Circle) and not sheet.flange
-    np.testing.assert_allclose(sheet.shape.radius, 0.04 * np.cos(np.pi / 16), rtol=1e-3)
+    sheet, flange = footprint.fit_planform(found, mold.positions, mold.triangles)
+    assert isinstance(sheet, Circle) and not flange
+    np.testing.assert_allclose(sheet.radius, 0.04 * np.cos(np.pi / 16), rtol=1e-3)
 
 
 def test_a_tray_has_a_rectangle_and_an_l_its_outline():
     mold = turn(box((0, 0, 0), (0.2, 0.1, 0.03), lid=False), (0.0, 0.0, 20.0))
     found = opening.find_opening(mold.positions, mold.triangles)
-    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
-    assert isinstance(sheet.shape, OrientedRectangle)
-    np.testing.assert_allclose(np.sort(sheet.shape.sides), [0.1, 0.2], rtol=1e-9)
-    np.testing.assert_allclose(abs(np.degrees(sheet.shape.angle)), 20.0, rtol=1e-6)
+    sheet, _ = footprint.fit_planform(found, mold.positions, mold.triangles)
+    assert isinstance(sheet, OrientedRectangle)
+    np.testing.assert_allclose(np.sort(sheet.sides), [0.1, 0.2], rtol=1e-9)
+    np.testing.assert_allclose(abs(np.degrees(sheet.angle)), 20.0, rtol=1e-6)
     mold = l_shaped()
     found = opening.find_opening(mold.positions, mold.triangles)
-    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
-    seen = {tuple(corner) for corner in np.round(sheet.polygon @ found.view.turn[:2, :2], 9).tolist()}
+    sheet, _ = footprint.fit_planform(found, mold.positions, mold.triangles)
+    seen = {
+        tuple(corner) for corner in np.round(footprint.planform_polygon(sheet) @ found.view.turn[:2, :2], 9).tolist()
+    }
     assert seen == {(0, 0), (0.2, 0), (0.2, 0.1), (0.1, 0.1), (0.1, 0.2), (0, 0.2)}
 
 
@@ -110,9 +112,9 @@ def test_a_plug_is_formed_over_within_walls():
     assert found.male
     np.testing.assert_allclose(found.view.turn[2], [0, 0, 1], atol=1e-12)
     np.testing.assert_allclose([found.level, found.depth], [0.0, 0.04], atol=1e-9)
-    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
-    walls = covers.cover(found, sheet.polygon, mold)
-    assert isinstance(sheet.shape, OrientedRectangle) and walls.mesh is not None
+    sheet, _ = footprint.fit_planform(found, mold.positions, mold.triangles)
+    walls = covers.cover(found, footprint.planform_polygon(sheet), mold)
+    assert isinstance(sheet, OrientedRectangle) and walls.mesh is not None
     np.testing.assert_allclose(walls.gaps, 0.72, rtol=1e-6)
     np.testing.assert_allclose(walls.mesh.positions.min(0), [0.0, 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(walls.mesh.positions.max(0), [0.2, 0.16, 0.04], atol=1e-6)
@@ -126,7 +128,7 @@ def test_holes_are_covered_and_seams_are_none():
     gone = np.flatnonzero(lowest < 0.4501)[3:6]
     holed = Mesh(whole.positions, np.delete(whole.triangles, gone, axis=0))
     found = opening.find_opening(holed.positions, holed.triangles)
-    polygon = footprint.fit_planform(found, holed.positions, holed.triangles).polygon
+    polygon = footprint.planform_polygon(footprint.fit_planform(found, holed.positions, holed.triangles)[0])
     closed = covers.cover(found, polygon, holed)
     assert closed.mesh is not None and closed.holes == 1
     corner = closed.mesh.positions[closed.mesh.triangles]
