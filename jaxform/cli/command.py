@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from jaxform.cli import export_command, fit_command, new_command, session, sweep_command
+from jaxform.cli import adapt_command, export_command, fit_command, new_command, session, sweep_command
 from jaxform.core import disk, errors, release
 from jaxform.core.errors import InputError, collect_warnings
 from jaxform.io import catalog
@@ -107,6 +107,10 @@ def _parser() -> argparse.ArgumentParser:
     swept = commands.add_parser("sweep", help=words, description=words)
     sweep_command.add_arguments(swept)
     swept.set_defaults(command=sweep_command.sweep)
+    words = "mesh a scene's sheet anew, finer where its wall is less accurate, and write the scene with that mesh"
+    adapted = commands.add_parser("adapt", help=words, description=words)
+    adapt_command.add_arguments(adapted)
+    adapted.set_defaults(command=adapt_command.adapt)
     words = "write report.html again from the files in a folder of results"
     report = commands.add_parser("report", help=words, description=words)
     report.add_argument("folder", metavar="DIR", type=Path, help="folder of results of simulate or optimize")
@@ -150,12 +154,15 @@ def _scenes(_: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> int:
     say, store = session.prepare(arguments)
     from jaxform.cli import check_command
-    from jaxform.io import files, scene_checks
+    from jaxform.io import adaptation, files, scene_checks
 
     if catalog.kind_of(arguments.source) == "study":
         document, scene, lines = check_command.read_study(arguments.source, store)
     else:
         document, lines = files.read_scene(arguments.source), []
+        if document.model.parison.adapt is not None:
+            # That takes runs.
+            document, lines = adaptation.without_adaptation(document), [adapt_command.describe(document)]
         scene = files.build(document, store)
     scene_checks.warn_of_side_holes(scene, document.file)
     files.read_reference(document)

@@ -169,15 +169,21 @@ def review_scene(scene: Scene, document: SceneDocument) -> None:
     warn_of_thin_features(scene, document.file)
 
 
-def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scene:
-    """The scene of a document, like `build`, but without `review_scene`, which is left to the caller."""
+def build_unchecked(document: SceneDocument, store: Store | None = None, sheet: shapes.Sheet | None = None) -> Scene:
+    """The scene of a document, like `build`, but without `review_scene`, which is left to the caller.
+
+    Args:
+        document: The scene.
+        store: Store for expensive host work between runs; none by default.
+        sheet: Its sheet on another mesh; by default on its own.
+    """
     model = document.model
     with error_context(document.file), name_tools():
         solver = model.solver
         check_untraced()
         read = functools.cache(meshes.read_mesh)  # [part] asks for the mold's files again
         find_mold = functools.cache(lambda: build_mold(document, store, read))
-        sheet = build_sheet(document, store, find_mold)
+        sheet = sheet or build_sheet(document, store, find_mold)
         refinement, forest = _refinement(document, sheet)
         grown = _extend_sheet(sheet, forest)
         parison = _parison(document, grown, forest)

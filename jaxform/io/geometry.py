@@ -48,25 +48,81 @@ def error_context(file: str, key: str = "") -> Iterator[None]:
 def build_sheet(
     document: SceneDocument, store: Store | None = None, find_mold: Callable[[], Mold | None] | None = None
 ) -> shapes.Sheet:
-    """The sheet of a document.
-
-    One whose outline is filled with elements takes half a second, and is kept: but not where it is refined, for that
-    asks the outline where new nodes belong.
+    """The sheet of a document, on the mesh that it names or that is adapted to its wall, where it asks for one.
 
     Args:
         document: The scene.
         store: Store for the sheet; none by default.
         find_mold: Gives the document's mold, where it is there already or will be needed again.
     """
-    find_mold = find_mold or functools.cache(lambda: build_mold(document, store))
+    table = document.model.parison
+    sheet = _unmeshed_sheet(document, store, find_mold or functools.cache(lambda: build_mold(document, store)))
+    if table.mesh is not None:
+        with error_context("", "parison.mesh"):
+            sheet = read_sheet_mesh(sheet, disk.expand_path(table.mesh, document.folder))
+    if table.adapt is None:
+        return sheet
+    from jaxform.io.adaptation import adapt_sheet  # runs scenes, whose sheets are made here
+
+    return adapt_sheet(document, sheet, store)
+
+
+def _unmeshed_sheet(document: SceneDocument, store: Store | None, find_mold: Callable[[], Mold | None]) -> shapes.Sheet:
+    """The sheet with its own triangles.
+
+    One whose outline is filled with elements takes half a second, and is kept: but not where it is refined or meshed
+    anew, for that asks the outline where new nodes belong.
+    """
     table, meshed = document.model.parison, schema.Outline | schema.BottleHalfParison
-    if store is None or document.model.refinement is not None or not isinstance(table, meshed):
+    anew = document.model.refinement is not None or table.mesh is not None or table.adapt is not None
+    if store is None or anew or not isinstance(table, meshed):
         return _make_shape(document, find_mold)
     depends: list[Any] = [table.model_dump(exclude={"thickness", "temperature"})]
     if isinstance(table, schema.Outline) and table.polygon is None and (mold := find_mold()) is not None:
         depends += [np.asarray(mold.vertices), np.asarray(mold.triangles)]
     kept = store.arrays("sheet", tuple(depends), lambda: _arrays(_make_shape(document, find_mold)))
     return shapes.Sheet(kept["positions"], kept["triangles"], kept["clamped"], kept["fixed"])
+
+
+_HOLDS = ("clamped", "fixed_x", "fixed_y", "fixed_z")
+"""Nodal fields of a sheet's mesh file: how its nodes are held, 1 or 0."""
+
+
+def sheet_fields(sheet: shapes.Sheet) -> dict[str, Array]:
+    """The nodal fields (n_node,) of a sheet's mesh file: its own, and how its nodes are held."""
+    return sheet.fields | dict(zip(_HOLDS, np.stack([sheet.clamped, *sheet.fixed.T]).astype(float), strict=True))
+
+
+def read_sheet_mesh(sheet: shapes.Sheet, path: Path) -> shapes.Sheet:
+    """The sheet on the mesh of a file that `sheet_fields` are in.
+
+    Raises:
+        InputError: It is no mesh, lacks a field, or is not a mesh of this sheet.
+    """
+    mesh = meshes.read_mesh(path)
+    lacking = [name for name in _HOLDS if name not in mesh.fields]
+    if lacking:
+        raise InputError(
+            f"has no nodal field {lacking[0]}", "give the file that `jaxform adapt` wrote", value=str(path)
+        )
+    clamped, *fixed = (mesh.fields[name] != 0.0 for name in _HOLDS)
+    shapes.check_surface(mesh)
+    fields = {name: values for name, values in mesh.fields.items() if name not in _HOLDS}
+    made = replace(
+        sheet,
+        positions=mesh.positions,
+        triangles=mesh.triangles.astype(np.int32),
+        clamped=clamped,
+        fixed=np.stack(fixed, axis=1),
+        fields=fields,
+    )
+    for one, other in ((sheet, made), (made, sheet)):
+        size = meshes.size(one.positions)
+        away = Distances(one.positions, one.triangles, size).nearest(other.positions).distance.max()
+        if away > FARTHEST * size:
+            problem = f"is not a mesh of this sheet: they are up to {away:.3g} m apart"
+            raise InputError(problem, "run `jaxform adapt` again, or leave it out", value=str(path))
+    return made
 
 
 def _arrays(shape: shapes.Sheet | molds.MoldShape) -> Arrays:
@@ -93,7 +149,9 @@ def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -
             previous_results.check_planes(path, table.scale, table.planes)
             return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
     if not isinstance(table, schema.Disc | schema.Outline):
-        given = table.model_dump(exclude={"shape", "thickness", "temperature", "pre_stretch", "radius"})
+        given = table.model_dump(
+            exclude={"shape", "thickness", "temperature", "pre_stretch", "radius", "mesh", "adapt"}
+        )
         if (radius := getattr(table, "radius", None)) is not None:
             local = isinstance(radius, schema.ProfileTable)
             given["radius"] = build_profile(radius, "parison.radius") if local else radius

@@ -20,7 +20,7 @@ from jaxform.mesh import meshes
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
 
-_PATHS = ("parison.path", "material.model_file", "mold.path", "part.molds", "output.reference")
+_PATHS = ("parison.path", "parison.mesh", "material.model_file", "mold.path", "part.molds", "output.reference")
 
 
 def write_scene(
@@ -41,6 +41,10 @@ def write_scene(
     """
     folder = Path(folder)
     data = _relocate_paths(document)[0]
+    if document.model.parison.adapt is not None:
+        # Other numbers would get another mesh: the scene keeps the one that it was designed on.
+        data["parison"] |= {"mesh": _write_sheet(document, folder / f"{Path(name).stem}.vtu")}
+        del data["parison"]["adapt"]
     for key, value in changes.items():
         part, _, number = key.partition(".")
         varies = part == "material" and isinstance(value, np.ndarray) and value.ndim > 0
@@ -129,6 +133,16 @@ def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> dict[str, str
     moved = {name: str(disk.expand_path(name, folder)) for name in ([names] if isinstance(names, str) else names)}
     table[last] = moved[names] if isinstance(names, str) else [moved[name] for name in names]
     return moved
+
+
+def _write_sheet(document: SceneDocument, path: Path) -> str:
+    """Writes the mesh of a document's sheet; returns its entry in the scene file."""
+    from jaxform.io.geometry import build_sheet, sheet_fields
+
+    sheet = build_sheet(document)
+    with atomic_path(path) as fresh:
+        meshes.write_vtu(fresh, sheet.positions, sheet.triangles, sheet_fields(sheet))
+    return path.name
 
 
 def _write_fields(document: SceneDocument, values: NDArray[Any], number: str, path: Path) -> Any:

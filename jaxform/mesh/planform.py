@@ -384,11 +384,11 @@ def _split_chords(points: Array, triangles: Index, rim: int) -> tuple[Array, NDA
             if side[1] < rim and side not in outer and side not in middle:
                 middle[side] = len(places)
                 places.append(0.5 * (points[side[0]] + points[side[1]]))
-        cut += _split_triangle(triangle, [middle.get(side) for side in sides])
+        cut += split_triangle(triangle, [middle.get(side) for side in sides])
     return np.array(places), np.array(cut, np.int32)
 
 
-def _split_triangle(triangle: list[int], middles: list[int | None]) -> list[list[int]]:
+def split_triangle(triangle: list[int], middles: list[int | None]) -> list[list[int]]:
     """A triangle cut at the middles of its sides, the first of which starts at its first corner."""
     count = sum(middle is not None for middle in middles)
     if count == 0:

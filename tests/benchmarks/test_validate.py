@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks.accuracy import cases, membranes, page, validate
+from benchmarks.accuracy import cases, cups, membranes, page, validate
 from jaxform.results.summary import QUASI_STATIC_LIMIT, warnings_of
 from tests import scenes
 
@@ -84,3 +84,22 @@ def test_the_page_is_drawn_from_its_figures(tmp_path: Path) -> None:
         "ramps.png",
     } <= pictures
     assert all((tmp_path / name).stat().st_size > 10_000 and (validate.DOCS / name).exists() for name in pictures)
+
+
+def test_sticking_in_a_cup_gives_the_tabled_walls() -> None:
+    """A reference wall at P = 20.1006 that a code of its own gave, and the committed one at P = 40."""
+    wall, later = cups.stick_in_cup(cups.Law(), cups.Cup(0.8), [20.1006, 40.0], steps=16)
+    np.testing.assert_allclose(wall.edges, [0.43954, 0.52379], rtol=2e-4)
+    np.testing.assert_allclose(wall.thinnest, 0.26050, rtol=1e-3)
+    known = {0.0: 0.4439555, 0.3211385: 0.3460282, 0.4341472: 0.2670929, 0.4816602: 0.2633078, 0.7027139: 0.5146422}
+    np.testing.assert_allclose(wall.at(np.array(list(known))), list(known.values()), rtol=2e-3)
+    table = cases.exact_table("cup-at-40")
+    np.testing.assert_allclose(later.at(table["initial_radius"]), table["thickness_ratio"], rtol=4e-3)
+    assert abs(np.mean(later.edges) - cases.CUP_CORNER) < 2e-3
+
+
+def test_the_cups_wall_at_the_pressure_reached() -> None:
+    """Nothing is cut: with an edge of elements at the corner its whole wall is right, at the corner too."""
+    errors = cases.show_cup(600).errors
+    assert errors["nodal thickness"] < 0.02 and errors["nodal thickness, rim"] < 0.005, errors
+    assert abs(errors["thinnest wall"]) < 0.08, errors

@@ -24,7 +24,31 @@ def _given_elsewhere(given: Any) -> Any:
 PreStretch = Annotated[list[Stretch], Field(min_length=2, max_length=2)]
 
 
-class _BuiltIn(Table):
+class Adapt(Table):
+    """The mesh that a sheet gets before its run, finer where the wall of earlier runs is less accurate.
+
+    Attributes:
+        elements: Largest number of triangles of the new mesh.
+        passes: How many times the sheet is run and then meshed anew.
+    """
+
+    elements: Annotated[int, Field(ge=20, le=10_000_000)] = 2500
+    passes: Annotated[int, Field(ge=1, le=5)] = 2
+
+
+class _Sheet(Table):
+    """Keys that all parisons share.
+
+    Attributes:
+        mesh: A mesh file of this sheet instead of its own triangles, as `jaxform adapt` writes it.
+        adapt: Adaptation of the mesh to the wall before the run; `{}` for the defaults.
+    """
+
+    mesh: str | None = None
+    adapt: Adapt | None = None
+
+
+class _BuiltIn(_Sheet):
     """Keys that the built-in parisons share: exactly one of element_size and elements, cut planes, thickness.
 
     Attributes:
@@ -148,7 +172,7 @@ class Preform(_BuiltIn):
     element_size: Length | None = None
 
 
-class BottleHalfParison(Table):
+class BottleHalfParison(_Sheet):
     """Half of a flattened parison, pinched along the outline of a bottle with a handle.
 
     Attributes:
@@ -178,7 +202,7 @@ class BottleHalfParison(Table):
     temperature: Temperature | None = None
 
 
-class Outline(Table):
+class Outline(_Sheet):
     """A sheet of any planform, clamped along its edge.
 
     Attributes:
@@ -226,7 +250,7 @@ def _plane(text: str) -> str:
     return text
 
 
-class FileParison(Table):
+class FileParison(_Sheet):
     """A user's mesh; pressure acts along its triangles' normals.
 
     Attributes:

@@ -275,6 +275,13 @@ class SceneFile(Table):
         return self
 
     @model_validator(mode="after")
+    def _check_mesh(self) -> SceneFile:
+        if self.parison.adapt is not None and self.refinement is not None:
+            problem = "is given together with [refinement], which changes the mesh during the run"
+            raise validation_error(problem, "give one of the two", "parison.adapt", self.parison.adapt.model_dump())
+        return self
+
+    @model_validator(mode="after")
     def _check_tools(self) -> SceneFile:
         check_names(self.tool)
         for number, table in enumerate(self.tool, 1):

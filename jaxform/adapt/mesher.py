@@ -1,0 +1,290 @@
+"""A sheet meshed anew, with elements of given sizes, by Mmg. On the host.
+
+Mmg keeps the references of boundary edges. Here these are the ways in which they are held: clamped, in a symmetry
+plane, free. So it is known how new nodes on the boundary are held. Mmg puts nodes of boundaries and curved surfaces on
+its own reconstruction of them; they are moved to where the sheet says that they belong (`Sheet.snap`), or else onto the
+old mesh.
+
+(Dapogny, Dobrzynski, Frey: Three-dimensional adaptive domain remeshing, implicit domain meshing, and applications to
+free and moving boundary problems, J. Comput. Phys. 262 (2014) 358-378.)
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import planform, topology
+from jaxform.mesh.shapes import Sheet
+from jaxform.mesh.volumes import areas
+from jaxform.tools.distances import Distances, interpolate, weights
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_GRADATION = 1.3  # ratio of the lengths of neighbouring edges, at most
+_SMOOTH = 60.0  # degrees, below which edges of a curved surface are none of it, but of its triangles
+_CORNER = 30.0  # degrees by which a boundary turns where it has a corner
+_STRAIGHT = 1e-3  # radians, up to which it is straight
+_DEVIATION = 0.05  # of the sheet's size, how far Mmg's curves may be from the old ones: sizes are given, not found so
+_ROUNDS = 8  # of Mmg, until the number of elements is right
+_SHORT_OF = 0.95  # of the elements that are wanted, as many as are enough
+_SAME = 1e-9  # of the sheet's size: nodes as near are one
+_PAIRS = 1_000_000  # of points and edges, processed together
+_EQUILATERAL = 4.0 / np.sqrt(3.0)  # elements of unit side in a unit of area
+
+
+def load_mmg() -> Any:
+    """The module of Mmg.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    try:
+        return importlib.import_module("mmgpy")
+    except ImportError:
+        problem = "needs Mmg, which is not installed"
+        raise InputError(problem, "pip install mmgpy (or jaxform[adapt])", "parison.adapt") from None
+
+
+def remesh(sheet: Sheet, size: Array, elements: int) -> Sheet:
+    """A sheet with a new mesh.
+
+    Boundary nodes stay where the boundary turns or is held in another way from there on; a node that is clamped inside,
+    and a triangle of clamped nodes, stay as they are. No edge inside joins two nodes of a clamped boundary, so that
+    every element moves. Fields are interpolated linearly.
+
+    Args:
+        sheet: The sheet.
+        size: Lengths of the edges at its nodes (n_node,) [m], up to a common factor.
+        elements: How many triangles the new mesh has at most; it has at least nine tenths of that.
+
+    Returns:
+        The sheet on its new mesh.
+
+    Raises:
+        InputError: Mmg is not installed, or cannot mesh the sheet with so few elements.
+    """
+    load_mmg()
+    size = _scale_to_count(sheet, np.asarray(size, float), elements)
+    best: Sheet | None = None
+    for _ in range(_ROUNDS):
+        made = _remesh_once(sheet, size)
+        count = len(made.triangles)
+        if count <= elements and (best is None or count > len(best.triangles)):
+            best = made
+        if _SHORT_OF * elements <= count <= elements:
+            break
+        size = size * np.sqrt(count / (0.975 * elements))
+    if best is None:
+        problem = f"is too few elements for this sheet: its boundary needs {len(made.triangles)}"
+        raise InputError(problem, "allow more elements", "parison.adapt.elements", elements)
+    return best
+
+
+def _scale_to_count(sheet: Sheet, size: Array, elements: int) -> Array:
+    """Sizes (n_node,) [m] by which a mesh has about so many elements."""
+    density = np.mean(1.0 / np.square(size)[sheet.triangles], axis=1)
+    return size * np.sqrt(_EQUILATERAL * np.sum(areas(sheet.positions, sheet.triangles) * density) / elements)
+
+
+def _remesh_once(sheet: Sheet, size: Array) -> Sheet:
+    edge = topology.boundary_edges(sheet.triangles)
+    kinds, reference = np.unique(_holds(sheet, edge), axis=0, return_inverse=True)
+    flat = bool(np.ptp(sheet.positions[:, 2]) == 0.0)
+    points, triangles, edges, references = _call_mmg(sheet, size, edge, reference.ravel(), flat)
+    return _held_sheet(sheet, _Boundary(edge, kinds, reference.ravel()), points, triangles, edges, references)
+
+
+def _holds(sheet: Sheet, edge: Index) -> Array:
+    """How boundary edges are held (k, 7): whether both ends are clamped, held along x, y, z, and at which place [m]."""
+    fixed = sheet.fixed[edge].all(1)
+    level = np.where(fixed, sheet.positions[edge[:, 0]], 0.0)
+    return np.concatenate([sheet.clamped[edge].all(1)[:, None], fixed, level], axis=1).astype(float)
+
+
+class _Boundary:
+    """The old boundary: its edges (k, 2), kinds of holding (m, 7), and which of these each has (k,)."""
+
+    def __init__(self, edge: Index, kinds: Array, kind: Index) -> None:
+        self.edge, self.kinds, self.kind = edge, kinds, kind
+
+
+def _call_mmg(
+    sheet: Sheet, size: Array, edge: Index, reference: Index, flat: bool
+) -> tuple[Array, Index, Index, Index]:
+    """Points (n, 3) [m], triangles (m, 3), boundary edges (k, 2) and their references (k,) of Mmg's mesh."""
+    mmgpy = load_mmg()
+    mesh = mmgpy.MmgMesh2D() if flat else mmgpy.MmgMeshS()
+    mesh.set_mesh_size(vertices=len(sheet.positions), triangles=len(sheet.triangles), edges=len(edge))
+    mesh.set_vertices(np.ascontiguousarray(sheet.positions[:, : 2 if flat else 3]))
+    mesh.set_triangles(np.ascontiguousarray(sheet.triangles, np.int32))
+    if len(edge):
+        # Zero would be no reference at all.
+        mesh.set_edges(np.ascontiguousarray(edge, np.int32), (reference + 1).astype(np.int32))
+    kept, corners = _kept_nodes(sheet, edge, reference)
+    if len(corners):
+        mesh.set_corners(corners.astype(np.int32))
+    if len(kept):
+        mesh.set_required_vertices(kept.astype(np.int32))
+    still = np.flatnonzero(sheet.clamped[sheet.triangles].all(1))
+    if len(still):
+        mesh.set_required_triangles(still.astype(np.int32))
+    mesh.set_field("metric", size[:, None])
+    extent = float(np.ptp(sheet.positions, axis=0).max())
+    angle = {} if flat else {"ar": _SMOOTH}
+    mesh.remesh(
+        hmin=0.5 * float(size.min()),
+        hmax=2.0 * float(size.max()),
+        hgrad=_GRADATION,
+        hausd=_DEVIATION * extent,
+        verbose=-1,
+        **angle,
+    )
+    points, triangles = np.asarray(mesh.get_vertices(), float), np.asarray(mesh.get_triangles(), np.int64)
+    edges, references = mesh.get_edges_with_refs() if len(edge) else (np.zeros((0, 2)), np.zeros(0))
+    if flat:
+        points = np.column_stack([points, np.full(len(points), sheet.positions[0, 2])])
+    return points, triangles, np.asarray(edges, np.int64), np.asarray(references, np.int64) - 1
+
+
+def _kept_nodes(sheet: Sheet, edge: Index, reference: Index) -> tuple[Index, Index]:
+    """Nodes that stay where they are, and the corners among them.
+
+    Nodes where a boundary turns or is held in another way from there on; where nothing says what the true boundary is,
+    those at each of its bends; and clamped nodes inside.
+    """
+    count = len(sheet.positions)
+    way = sheet.positions[edge[:, 1]] - sheet.positions[edge[:, 0]]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    ends, number = edge.T.ravel(), np.tile(np.arange(len(edge)), 2)
+    order = np.argsort(ends, kind="stable")
+    pair = number[order].reshape(-1, 2) if (np.bincount(ends, minlength=count) % 2 == 0).all() else number[order]
+    if pair.ndim == 1 or (np.bincount(ends, minlength=count) > 2).any():
+        return np.unique(ends), np.unique(ends)  # boundaries that meet at a node: all of them stay
+    node, (one, other) = ends[order][::2], pair.T
+    sense = np.where(edge[one, 1] == node, 1.0, -1.0) * np.where(edge[other, 0] == node, 1.0, -1.0)
+    straight = np.clip(np.sum(way[one] * way[other], axis=1) * sense, -1.0, 1.0)
+    turn = np.arccos(straight)
+    corner = (turn > np.radians(_CORNER)) | (reference[one] != reference[other])
+    bend = corner if sheet.snap is not None else corner | (turn > _STRAIGHT)
+    inside = np.setdiff1d(np.flatnonzero(sheet.clamped), ends)
+    return np.concatenate([node[bend], inside]), node[corner]
+
+
+def _held_sheet(
+    sheet: Sheet, boundary: _Boundary, points: Array, triangles: Index, edges: Index, references: Index
+) -> Sheet:
+    """The new mesh with the old one's ways of holding, with its nodes where they belong."""
+    clamped, fixed = np.zeros(len(points), bool), np.zeros(points.shape, bool)
+    for number, kind in enumerate(boundary.kinds):
+        nodes = np.unique(edges[references == number])
+        clamped[nodes] |= bool(kind[0])
+        fixed[nodes] |= kind[1:4].astype(bool)
+    points = _place_nodes(sheet, boundary, points, edges, references)
+    inside = np.setdiff1d(np.flatnonzero(sheet.clamped), boundary.edge)
+    if len(inside):
+        away, node = KDTree(sheet.positions[inside]).query(points)
+        same = away <= _SAME * np.ptp(sheet.positions, axis=0).max()
+        clamped |= same
+        points = np.where(same[:, None], sheet.positions[inside][node], points)
+    points, triangles = _cut_chords(points, triangles, edges, clamped)
+    added = len(points) - len(clamped)
+    return replace(
+        sheet,
+        positions=points,
+        triangles=triangles.astype(np.int32),
+        clamped=np.append(clamped, np.zeros(added, bool)),
+        fixed=np.concatenate([fixed, np.zeros((added, 3), bool)]),
+        fields=_carried_fields(sheet, points),
+    )
+
+
+def _place_nodes(sheet: Sheet, boundary: _Boundary, points: Array, edges: Index, references: Index) -> Array:
+    """The points (n, 3) [m] on the true surface and boundary, and exactly in their symmetry planes."""
+    points = points.copy()
+    if np.ptp(sheet.positions[:, 2]) > 0.0:
+        on_old = _Old(sheet).nearest(points) if sheet.snap is None else points
+        points = _snap(sheet, on_old, np.repeat(on_old[:, None], 2, axis=1), rim=False)
+    for number, kind in enumerate(boundary.kinds):
+        nodes = np.unique(edges[references == number])
+        if not kind[1:4].any():
+            place, ends = _on_edges(sheet.positions[boundary.edge[boundary.kind == number]], points[nodes])
+            points[nodes] = place if sheet.snap is None else _snap(sheet, points[nodes], ends, rim=True)
+    for kind, number in zip(boundary.kinds, range(len(boundary.kinds)), strict=True):
+        nodes = np.unique(edges[references == number])
+        for axis in np.flatnonzero(kind[1:4]):
+            points[nodes, axis] = kind[4 + axis]
+    return points
+
+
+def _snap(sheet: Sheet, points: Array, ends: Array, *, rim: bool) -> Array:
+    """Points (n, 3) [m], near edges with ends (n, 2, 3) [m], where the sheet says that they belong."""
+    return points if sheet.snap is None else sheet.snap(points, ends, np.full(len(points), rim))
+
+
+def _on_edges(edges: Array, points: Array) -> tuple[Array, Array]:
+    """The places (n, 3) [m] on edges (k, 2, 3) [m] nearest to points (n, 3), and the ends (n, 2, 3) of those edges."""
+    begin, way = edges[:, 0], edges[:, 1] - edges[:, 0]
+    square = np.sum(way * way, axis=1)
+    places, nearest = np.empty_like(points), np.empty(len(points), np.int64)
+    for part in np.array_split(np.arange(len(points)), 1 + len(points) * len(edges) // _PAIRS):
+        away = points[part, None] - begin
+        share = np.clip(np.sum(away * way, axis=2) / square, 0.0, 1.0)
+        off = np.sum(np.square(away - share[..., None] * way), axis=2)
+        nearest[part] = np.argmin(off, axis=1)
+        chosen = nearest[part], np.take_along_axis(share, nearest[part][:, None], axis=1)
+        places[part] = begin[chosen[0]] + chosen[1] * way[chosen[0]]
+    return places, edges[nearest]
+
+
+class _Old:
+    """The old mesh: the places nearest to points, and nodal values there."""
+
+    def __init__(self, sheet: Sheet) -> None:
+        self.sheet = sheet
+        self.distances = Distances(sheet.positions, sheet.triangles, float(np.ptp(sheet.positions, axis=0).max()))
+
+    def nearest(self, points: Array) -> Array:
+        """The nearest places (n, 3) [m]."""
+        return self.distances.nearest(points).place
+
+    def at(self, values: Array, points: Array) -> Array:
+        """Nodal values (n_node, ...) there (n, ...)."""
+        found, triangles = self.distances.nearest(points), self.sheet.triangles
+        weight = weights(found.place, self.sheet.positions[triangles[found.triangle]])
+        return interpolate(values, triangles, found.triangle, weight)
+
+
+def _carried_fields(sheet: Sheet, points: Array) -> dict[str, Array]:
+    """The sheet's nodal fields at points (n, 3) [m]."""
+    if not sheet.fields:
+        return {}
+    values = _Old(sheet).at(np.stack(list(sheet.fields.values()), axis=1), points)
+    return dict(zip(sheet.fields, values.T, strict=True))
+
+
+def _cut_chords(points: Array, triangles: Index, edges: Index, clamped: Mask) -> tuple[Array, Index]:
+    """The mesh with each inner edge that joins two clamped nodes of the boundary cut in its middle."""
+    sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    base = len(points)
+    rim = np.unique(edges)
+    joins = clamped[sides].all(1) & np.isin(sides, rim).all(1)
+    joins &= ~np.isin(sides @ [base, 1], np.sort(edges, axis=1) @ [base, 1])
+    if not joins.any():
+        return points, triangles
+    chords, number = np.unique(sides[joins], axis=0, return_inverse=True)
+    middle = np.full(len(sides), -1)
+    middle[joins] = base + number.ravel()
+    middles = [[None if k < 0 else k for k in row] for row in middle.reshape(-1, 3).tolist()]
+    cut = [
+        part for one, of in zip(triangles.tolist(), middles, strict=True) for part in planform.split_triangle(one, of)
+    ]
+    return np.concatenate([points, points[chords].mean(1)]), np.array(cut, np.int64)

@@ -1,0 +1,58 @@
+"""The command `jaxform adapt`: a scene on a mesh that runs of it have made finer where the wall is less accurate."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxform.cli import session
+
+if TYPE_CHECKING:
+    from jaxform.io.files import SceneDocument
+    from jaxform.mesh.shapes import Sheet
+
+NAME = "adapted.toml"
+"""The file of the adapted scene; its mesh has the same name."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the arguments of `jaxform adapt`."""
+    parser.add_argument("source", metavar="SCENE", help="a built-in name or a .toml file")
+    parser.add_argument("--out", metavar="DIR", required=True, type=Path, help=f"folder for {NAME} and its mesh")
+    words = "largest number of elements; by default that of parison.adapt, or 2500"
+    parser.add_argument("--elements", metavar="N", type=int, help=words)
+    words = "how many times the sheet is run and meshed anew; by default that of parison.adapt, or 2"
+    parser.add_argument("--passes", metavar="N", type=int, help=words)
+    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
+    parser.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+    parser.add_argument("--force", action="store_true", help="overwrite files in DIR")
+
+
+def adapt(arguments: argparse.Namespace) -> int:
+    """Runs `jaxform adapt` with its arguments and returns its exit status."""
+    say, store = session.prepare(arguments)
+    from jaxform.io import adaptation, files, geometry, scene_rewriting
+
+    read = files.read_scene(arguments.source)
+    document = adaptation.adaptable(read, elements=arguments.elements, passes=arguments.passes)
+    session.open_folder(arguments.out, arguments.force)
+
+    def report(number: int, sheet: Sheet, error: float) -> None:
+        say(
+            f"run {number} with {len(sheet.triangles)} elements: the elements' wall is uncertain by {100 * error:.2g} %"
+        )
+
+    with files.error_context(document.file):
+        first = geometry.build_sheet(adaptation.without_adaptation(document), store)
+        made = adaptation.adapt_sheet(document, first, store, report)
+        path = scene_rewriting.write_scene(document, {}, arguments.out, NAME)
+    say(f"wrote {NAME} with {len(made.triangles)} elements into {arguments.out}")
+    say(f"next:\n    jaxform simulate {shlex.quote(str(path))} --out {shlex.quote(str(arguments.out / 'formed'))}")
+    return session.DONE
+
+
+def describe(document: SceneDocument) -> str:
+    """A line on what will become of the mesh of a document."""
+    return f"the mesh of {document.name} is adapted before the run; what follows is of the mesh that it begins with"

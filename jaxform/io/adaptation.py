@@ -1,0 +1,131 @@
+"""Adaptation of a sheet's mesh by runs before the run, each of which shows where its wall is less accurate."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxform.adapt import mesher
+from jaxform.core.errors import InputError, InputWarning, redirect_warnings
+from jaxform.core.store import Arrays, Store
+from jaxform.io import files, scene_rewriting
+from jaxform.io.files import SceneDocument
+from jaxform.mesh.shapes import Sheet
+from jaxform.model.scene import Scene
+from jaxform.results import size_field
+from jaxform.results.result import Result
+from jaxform.results.summary import explain
+from jaxform.runs.host import run
+from jaxform.sheet.state import Status
+
+Report = Callable[[int, Sheet, float], object]
+"""Is told the number of a pass, the sheet of its run, and the estimated relative rms error of that run's wall."""
+
+_STOPS = (
+    Status.NON_FINITE
+    | Status.UNSTABLE
+    | Status.WINDOWS_EXHAUSTED
+    | Status.CONTACT_MISSED
+    | Status.STOPPED
+    | Status.RUNAWAY
+    | Status.INPUT
+)
+"""What ends a run before its wall says where elements should be; a corner that is not filled does not."""
+_RECENT = 8  # adapted meshes that a process keeps, which a study and its best scene ask for again
+_recent: dict[str, Arrays] = {}
+
+
+def adapt_sheet(
+    document: SceneDocument, sheet: Sheet, store: Store | None = None, report: Report | None = None
+) -> Sheet:
+    """The sheet of a document on the mesh that its `parison.adapt` asks for.
+
+    Args:
+        document: The scene.
+        sheet: Its sheet on its own mesh, on which it is run first.
+        store: Store for the mesh and for programs; none by default.
+        report: Is told of each pass, where the mesh is not kept from before.
+
+    Raises:
+        InputError: Mmg is not installed, a run stopped, or the sheet needs more elements.
+    """
+    key = _key(document, sheet)
+    if key not in _recent:
+        made = (store or Store()).arrays("adapted", (key,), lambda: _arrays(_make(document, sheet, store, report)))
+        while len(_recent) >= _RECENT:
+            _recent.pop(next(iter(_recent)))
+        _recent[key] = made
+    kept = dict(_recent[key])
+    held = {name: kept.pop(name) for name in ("positions", "triangles", "clamped", "fixed")}
+    return Sheet(**held, fields=kept, snap=sheet.snap, guided=sheet.guided)
+
+
+def _key(document: SceneDocument, sheet: Sheet) -> str:
+    """What the mesh depends on, in a few characters: the scene but for its name and output, files, and precision."""
+    digest = hashlib.sha256(repr((jax.config.jax_enable_x64, len(sheet.positions))).encode())
+    tables = {key: value for key, value in document.data.items() if key not in ("name", "description", "output")}
+    digest.update(repr(tables).encode())
+    digest.update(np.ascontiguousarray(sheet.positions).tobytes() + np.ascontiguousarray(sheet.triangles).tobytes())
+    for path in scene_rewriting.referenced_files(document):
+        digest.update(path.read_bytes() if path.is_file() else b"")
+    return digest.hexdigest()
+
+
+def _arrays(sheet: Sheet) -> Arrays:
+    """A sheet as named arrays."""
+    held = {"positions": sheet.positions, "triangles": sheet.triangles, "clamped": sheet.clamped, "fixed": sheet.fixed}
+    return sheet.fields | held
+
+
+def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Report | None) -> Sheet:
+    """The sheet after all passes."""
+    wanted = document.model.parison.adapt
+    assert wanted is not None
+    mesher.load_mmg()
+    for number in range(1, wanted.passes + 1):
+        scene = files.build_unchecked(document, store, sheet)
+        result = _run_quietly(scene, store)
+        _check_end(result, number)
+        if report is not None:
+            errors, weight = size_field.element_errors(scene, result), np.asarray(scene.tables.sheet.area, float)
+            report(number, sheet, float(np.sqrt(np.average(np.square(errors), weights=weight))))
+        sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), wanted.elements)
+    return sheet
+
+
+def _run_quietly(scene: Scene, store: Store | None) -> Result:
+    """The result of a run; what there is to say of the scene is said of the run on the last mesh."""
+    with warnings.catch_warnings(), redirect_warnings(lambda _: None):
+        warnings.simplefilter("ignore", InputWarning)
+        return run(scene, store=store)
+
+
+def _check_end(result: Result, number: int) -> None:
+    """Raises where a run has no wall from which a size can be found."""
+    wall = np.asarray(result.thickness)
+    if not np.isfinite(wall).all() or not (wall > 0.0).all() or int(result.status) & _STOPS:
+        problem = f"run {number} of its passes stopped: {explain(result)}"
+        raise InputError(problem, "mend the scene without parison.adapt first", "parison.adapt")
+
+
+def adaptable(document: SceneDocument, **wanted: Any) -> SceneDocument:
+    """The document with keys of `parison.adapt`; those that are None are left as they are, or at their defaults.
+
+    Raises:
+        InputError: A number is out of range, or the scene is refined as it forms.
+    """
+    table = dict(document.data["parison"].get("adapt") or {})
+    table |= {key: value for key, value in wanted.items() if value is not None}
+    tables = document.data | {"parison": document.data["parison"] | {"adapt": table}}
+    return files.validate_scene(tables, document.file, document.folder, document.path)
+
+
+def without_adaptation(document: SceneDocument) -> SceneDocument:
+    """The document on the mesh from which its adaptation begins."""
+    parison = {key: value for key, value in document.data["parison"].items() if key != "adapt"}
+    return files.validate_scene(document.data | {"parison": parison}, document.file, document.folder, document.path)

@@ -1,0 +1,147 @@
+"""Sheets meshed anew with a size at their nodes: sizes, boundaries, symmetry planes, area, clamping, fields."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxform.adapt import mesher
+from jaxform.core.errors import InputError
+from jaxform.mesh import shapes, topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.shapes import Sheet
+from jaxform.mesh.volumes import areas
+
+pytestmark = pytest.mark.quick
+pytest.importorskip("mmgpy")
+
+_L = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, 2.0], [0.0, 2.0]]
+_PREFORM = [[0.0, 0.0], [0.6, 0.1], [0.9, 0.5], [1.0, 3.0]]
+
+
+def _sheets() -> dict[str, Sheet]:
+    patch = shapes.rectangle(size=(2.0, 1.0), elements=300, symmetry="quarter")
+    bent = Mesh(patch.positions + patch.positions[:, :1] ** 2 * [0.0, 0.0, 0.3], patch.triangles, {}, {})
+    return {
+        "disc": shapes.disc(radius=1.0, elements=300),
+        "quarter of a disc": shapes.disc(radius=1.0, elements=300, symmetry="quarter"),
+        "rectangle": shapes.rectangle(size=(2.0, 1.0), elements=300),
+        "half of a rectangle": shapes.rectangle(size=(2.0, 1.0), elements=300, symmetry="half"),
+        "outline": shapes.outline(polygon=_L, elements=300),
+        "cut outline": shapes.outline(polygon=_L, elements=300, planes=["x"]),
+        "sphere": shapes.sphere(radius=1.0, elements=300),
+        "quarter of a sphere": shapes.sphere(radius=1.0, elements=300, symmetry="quarter"),
+        "tube": shapes.tube(radius=1.0, length=3.0, elements=400, ends=["guided", "clamped"]),
+        "quarter of a tube": shapes.tube(radius=1.0, length=3.0, elements=300, symmetry="quarter"),
+        "preform": shapes.preform(profile=_PREFORM, elements=400),
+        "half of a preform": shapes.preform(profile=_PREFORM, elements=400, symmetry="half"),
+        "file": shapes.from_mesh(bent, planes=["x=1.0", "y=0.5"]),
+        "bottle": shapes.bottle_half(),
+    }
+
+
+SHEETS = _sheets()
+FLAT = ("rectangle", "half of a rectangle", "outline", "cut outline")  # whose boundary is straight
+
+
+def _sizes(sheet: Sheet) -> np.ndarray:
+    """Sizes that fall to a quarter at a place on the boundary, or on a closed surface."""
+    rim = topology.boundary_nodes(sheet.triangles)
+    place = sheet.positions[rim[len(rim) // 3] if len(rim) else 0]
+    away = np.linalg.norm(sheet.positions - place, axis=1) / np.ptp(sheet.positions, axis=0).max()
+    return 0.25 + np.minimum(0.75, 1.5 * away)
+
+
+@pytest.mark.parametrize("name", SHEETS)
+def test_a_sheet_on_its_new_mesh(name: str) -> None:
+    sheet = SHEETS[name]
+    made = mesher.remesh(sheet, _sizes(sheet), 900)
+    assert 0.9 * 900 <= len(made.triangles) <= 900
+    shapes.check_surface(Mesh(made.positions, made.triangles, {}, {}))
+    np.testing.assert_array_equal(np.unique(made.triangles), np.arange(len(made.positions)))
+    # Every element moves, and what was held is held in the same places and planes.
+    assert not made.clamped[made.triangles].all(1).any()
+    old, new = areas(sheet.positions, sheet.triangles).sum(), areas(made.positions, made.triangles).sum()
+    assert abs(new / old - 1) < (1e-12 if name in FLAT else 0.02)
+    for axis in range(3):
+        levels = np.unique(sheet.positions[sheet.fixed[:, axis], axis])
+        np.testing.assert_array_equal(np.unique(made.positions[made.fixed[:, axis], axis]), levels)
+        # The cut's edges are those of the plane, from end to end.
+        if len(levels):
+            assert np.ptp(made.positions[made.fixed[:, axis]], axis=0) == pytest.approx(
+                np.ptp(sheet.positions[sheet.fixed[:, axis]], axis=0), rel=1e-9, abs=1e-12
+            )
+    assert made.guided == sheet.guided
+    rim, edge = topology.boundary_edges(made.triangles), topology.boundary_edges(sheet.triangles)
+    held, was_held = _held(made, rim), _held(sheet, edge)
+    assert sorted(held) == sorted(was_held)
+    for kind, length in was_held.items():
+        assert held[kind] == pytest.approx(length, rel=1e-9 if name in FLAT else 0.01), kind
+
+
+def _held(sheet: Sheet, edge: np.ndarray) -> dict[tuple[bool, ...], float]:
+    """Length of the boundary that is held in each way [m]."""
+    ways = np.concatenate([sheet.clamped[:, None], sheet.fixed], axis=1)[edge].all(1)
+    length = np.linalg.norm(sheet.positions[edge[:, 1]] - sheet.positions[edge[:, 0]], axis=1)
+    return {tuple(way.tolist()): float(length[(ways == way).all(1)].sum()) for way in np.unique(ways, axis=0)}
+
+
+@pytest.mark.parametrize("name", ["quarter of a disc", "outline", "sphere", "preform"])
+def test_elements_have_the_sizes_that_are_asked_for(name: str) -> None:
+    sheet = SHEETS[name]
+    wanted = _sizes(sheet)
+    made = mesher.remesh(sheet, wanted, 3000)
+    edge, _ = topology.edges(made.triangles)
+    length = np.linalg.norm(made.positions[edge[:, 1]] - made.positions[edge[:, 0]], axis=1)
+    from scipy.spatial import KDTree
+
+    ratio = length / wanted[KDTree(sheet.positions).query(made.positions[edge].mean(1))[1]]
+    ratio /= np.median(ratio)
+    assert np.quantile(ratio, 0.05) > 0.55 and np.quantile(ratio, 0.95) < 1.6, np.quantile(ratio, [0.05, 0.95])
+    angle = _angles(made)
+    assert np.quantile(angle, 0.01) > 30.0 and angle.min() > 12.0
+
+
+def _angles(sheet: Sheet) -> np.ndarray:
+    corners = sheet.positions[sheet.triangles]
+    ways: Any = [np.roll(corners, -k, axis=1) - corners for k in (1, 2)]
+    cosine = np.sum(ways[0] * ways[1], axis=2) / np.prod(np.linalg.norm(ways, axis=3), axis=0)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def test_a_round_rim_and_a_surface_of_revolution_stay_so() -> None:
+    disc = mesher.remesh(SHEETS["quarter of a disc"], _sizes(SHEETS["quarter of a disc"]), 900)
+    np.testing.assert_allclose(np.hypot(*disc.positions[disc.clamped, :2].T), 1.0, rtol=1e-14)
+    tube = mesher.remesh(SHEETS["tube"], _sizes(SHEETS["tube"]), 900)
+    np.testing.assert_allclose(np.hypot(*tube.positions[:, :2].T), 1.0, rtol=1e-12)
+    assert set(tube.positions[tube.fixed[:, 2], 2]) == {0.0} and set(tube.positions[tube.clamped, 2]) == {3.0}
+
+
+def test_fields_of_the_sheet_are_carried_over() -> None:
+    sheet = SHEETS["quarter of a disc"]
+    plane = 1.0 + sheet.positions[:, :2] @ [0.3, -0.2]
+    field = Sheet(sheet.positions, sheet.triangles, sheet.clamped, sheet.fixed, {"wall": plane}, sheet.snap)
+    made = mesher.remesh(field, _sizes(sheet), 900)
+    # New nodes of the rim lie on the circle, outside the old chords.
+    np.testing.assert_allclose(made.fields["wall"], 1.0 + made.positions[:, :2] @ [0.3, -0.2], atol=2e-3)
+
+
+def test_nodes_that_are_clamped_inside_stay_where_they_are() -> None:
+    sheet = SHEETS["rectangle"]
+    held = np.array(sheet.clamped)
+    middle = np.flatnonzero(np.linalg.norm(sheet.positions - [1.0, 0.5, 0.0], axis=1) < 0.2)
+    held[middle] = True
+    made = mesher.remesh(Sheet(sheet.positions, sheet.triangles, held, sheet.fixed), _sizes(sheet), 1500)
+    inside = np.setdiff1d(np.flatnonzero(made.clamped), topology.boundary_nodes(made.triangles))
+    there = {tuple(p) for p in made.positions[inside]}
+    assert {tuple(p) for p in sheet.positions[middle]} <= there
+
+
+def test_too_few_elements_are_refused() -> None:
+    corners = [[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 41)[:-1]]
+    points = [[x * (1.0 + 0.3 * (k % 2)), y * (1.0 + 0.3 * (k % 2))] for k, (x, y) in enumerate(corners)]
+    star = shapes.outline(polygon=points, elements=600)
+    with pytest.raises(InputError, match=r"too few elements for this sheet: its boundary needs .* allow more"):
+        mesher.remesh(star, np.ones(len(star.positions)), 20)

@@ -1,0 +1,155 @@
+"""Scenes on meshes adapted to their wall: the command, the files that it writes, refusals, accuracy, gradients."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from benchmarks.accuracy import cases
+from jaxform.cli import main
+from jaxform.core.errors import InputError
+from jaxform.io import adaptation, files, geometry, scene_rewriting
+from jaxform.mesh.volumes import areas
+from jaxform.model.scene import Scene
+
+pytest.importorskip("mmgpy")
+
+CUP = """
+name = "cup"
+[parison]
+shape = "disc"
+radius = 1.0
+elements = {elements}
+symmetry = "quarter"
+thickness = {thickness}
+{adapt}
+[material]
+model = "neo-hookean"
+c = 1.0e6
+density = 1000.0
+[pressure]
+time = [0.0, 1.8974]
+value = [0.0, 4.0e5]
+interpolation = "cubic-ramp"
+[mold]
+shape = "revolved"
+profile = [[0.0, 0.8], [0.85893842, 0.8], [1.0, 0.0]]
+segments = 384
+fill = false
+[solver]
+end_time = 2.0555
+damping = 63.246
+"""
+"""The cup of the accuracy cases at P = 40 c h0/a, with units of time of 1/31.6 s."""
+
+
+def _write(folder: Path, adapt: str = "", *, elements: int = 150, thickness: str = "0.01", rest: str = "") -> Path:
+    path = folder / "scene.toml"
+    path.write_text(CUP.format(adapt=adapt, elements=elements, thickness=thickness) + rest)
+    return path
+
+
+def _errors(scene: Scene) -> tuple[float, float]:
+    """Relative rms errors of the elements' and the nodes' thickness, nothing cut."""
+    result = jaxform.run(scene)
+    assert jaxform.explain(result) == "ok"
+    wall = cases.exact_table("cup-at-40")
+    ratio, places, area = cases.element_ratios(scene, result)
+    radius = np.hypot(*np.asarray(scene.parison.positions)[:, :2].T)
+    nodal = cases.nodal_ratio(scene, result) / cases.exact_ratio(radius, wall) - 1
+    return cases.rms(ratio / cases.exact_ratio(places, wall) - 1, area), cases.rms(nodal, cases.nodal_area(scene))
+
+
+def test_the_command_writes_a_scene_that_is_more_accurate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    profile = '{ along = "radius", at = [0.0, 1.0], value = [0.01, 0.01] }'
+    path = _write(tmp_path, thickness=profile)
+    assert main(["adapt", str(path), "--out", str(tmp_path / "out"), "--elements", "600"]) == 0
+    told = capsys.readouterr().out
+    before, after = (float(x) for x in re.findall(r"uncertain by ([\d.]+) %", told))
+    assert before > 2 * after
+    document = files.read_scene(tmp_path / "out" / "adapted.toml")
+    assert document.model.parison.adapt is None and document.model.parison.mesh is not None
+    adapted, uniform = files.build(document), files.build(files.read_scene(_write(tmp_path, elements=600)))
+    assert 540 <= len(adapted.parison.triangles) <= 600 <= len(uniform.parison.triangles)
+    assert (
+        abs(areas(np.asarray(adapted.parison.positions), np.asarray(adapted.parison.triangles)).sum() / (np.pi / 4) - 1)
+        < 1e-3
+    )
+    for got, even in zip(_errors(adapted), _errors(uniform), strict=True):
+        assert got < 0.012 < 0.6 * even, (got, even)
+    # The key in the scene gives the same mesh.
+    scene = files.build(files.read_scene(_write(tmp_path, "adapt = { elements = 600 }", thickness=profile)))
+    np.testing.assert_array_equal(scene.parison.positions, adapted.parison.positions)
+
+
+def test_a_best_design_keeps_the_mesh_that_it_was_found_on(tmp_path: Path) -> None:
+    document = files.read_scene(_write(tmp_path, "adapt = { elements = 200, passes = 1 }", elements=60))
+    sheet = geometry.build_sheet(document)
+    thickness = 0.01 + 0.001 * sheet.positions[:, 0]
+    path = scene_rewriting.write_scene(document, {"parison.thickness": thickness}, tmp_path / "best")
+    scene = files.build(files.read_scene(path))
+    np.testing.assert_array_equal(scene.parison.positions, sheet.positions)
+    np.testing.assert_array_equal(scene.parison.clamped, sheet.clamped)
+    np.testing.assert_allclose(scene.parison.thickness, thickness, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("adapt", "rest", "words"),
+    [
+        ("adapt = { elements = 5 }", "", r"parison\.adapt\.elements = 5: .*20"),
+        ("adapt = { passes = 0 }", "", r"parison\.adapt\.passes = 0: .*1"),
+        ("adapt = { goal = 'x' }", "", r"parison\.adapt\.goal.*"),
+        ("adapt = {}", "[refinement]\nangle = 4.0\n", r"parison\.adapt.*together with \[refinement\].* one of the two"),
+        ('mesh = "none.vtu"', "", r"parison\.mesh.*none\.vtu.*"),
+    ],
+)
+def test_bad_values_are_refused(tmp_path: Path, adapt: str, rest: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        files.build(files.read_scene(_write(tmp_path, adapt, rest=rest)))
+
+
+def test_a_mesh_of_another_sheet_is_refused(tmp_path: Path) -> None:
+    document = files.read_scene(_write(tmp_path, "adapt = { elements = 200, passes = 1 }", elements=60))
+    scene_rewriting.write_scene(document, {}, tmp_path, "adapted.toml")
+    text = (tmp_path / "adapted.toml").read_text().replace("radius = 1.0", "radius = 1.2")
+    (tmp_path / "adapted.toml").write_text(text)
+    with pytest.raises(InputError, match=r"parison\.mesh.*not a mesh of this sheet.*run `jaxform adapt` again"):
+        files.build(files.read_scene(tmp_path / "adapted.toml"))
+
+
+def test_a_run_that_stops_has_no_mesh(tmp_path: Path) -> None:
+    path = _write(tmp_path, "adapt = {}", elements=60)
+    path.write_text(path.read_text().replace("damping = 63.246", "damping = 63.246\nmax_steps = 100"))
+    with pytest.raises(
+        InputError, match=r"parison\.adapt: run 1 of its passes stopped: .* without parison\.adapt first"
+    ):
+        files.build(files.read_scene(path))
+
+
+def test_the_adapted_mesh_differentiates(tmp_path: Path) -> None:
+    scene = files.build(files.read_scene(_write(tmp_path, "adapt = { elements = 150, passes = 1 }", elements=60)))
+
+    def uneven(thickness: jax.Array) -> jax.Array:
+        wall = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness})).thickness
+        return jnp.sum(jnp.square(wall / jnp.mean(wall) - 1.0))
+
+    start = jnp.asarray(scene.parison.thickness)
+    way = start * np.random.default_rng(3).uniform(-1.0, 1.0, start.size)
+    slope = float(jax.jit(jax.grad(uneven))(start) @ way)
+    value = jax.jit(uneven)
+    up, down = (float(value(start + sign * 1e-8 * way)) for sign in (1, -1))
+    assert (up - down) / 2e-8 == pytest.approx(slope, rel=1e-5)
+
+
+def test_the_scene_that_it_begins_with(tmp_path: Path) -> None:
+    document = files.read_scene(_write(tmp_path, "adapt = {}"))
+    first = adaptation.without_adaptation(document)
+    assert first.model.parison.adapt is None and first.path == document.path
+    wanted = adaptation.adaptable(first, passes=3).model.parison.adapt
+    assert wanted is not None and (wanted.elements, wanted.passes) == (2500, 3)
