@@ -298,13 +298,18 @@ def with_ring(sheet: Any, corner: float) -> Any:
 
 
 def cup_scene(elements: int, law: Any, depth: float, corner: float, pressure: float) -> Scene:
-    """A quarter of a disc into a truncated cone of 80 degrees, or where depth says so into a cone of 60 degrees."""
-    bottom = 1.0 - depth / np.tan(np.radians(80.0))
-    profile = [[0.0, depth], [bottom, depth], [1.0, 0.0]] if corner else [[0.0, depth], [1.0, 0.0]]
+    """A quarter of a disc into a truncated cone of 80 degrees, or without a corner into a cone of 60 degrees."""
     sheet = jaxform.shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
+    return sheet_in_cup(with_ring(sheet, corner) if corner else sheet, law, depth, pressure, bool(corner))
+
+
+def sheet_in_cup(sheet: Any, law: Any, depth: float, pressure: float, bottom: bool = True) -> Scene:
+    """A sheet of radius 1 into a cone of a depth, with a wall of 80 degrees where it has a bottom."""
+    radius = 1.0 - depth / np.tan(np.radians(80.0))
+    profile = [[0.0, depth], [radius, depth], [1.0, 0.0]] if bottom else [[0.0, depth], [1.0, 0.0]]
     mold = molds.revolved(profile=profile, segments=384)
     return scene_of(
-        with_ring(sheet, corner) if corner else sheet,
+        sheet,
         law,
         jaxform.make_pressure([0.0, 60.0], [0.0, 0.01 * pressure], "cubic-ramp"),
         jaxform.make_mold(mold.vertices, mold.triangles, mold.dropped),

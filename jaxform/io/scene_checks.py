@@ -14,7 +14,7 @@ from jaxform.io.surfaces import mirror_points
 from jaxform.io.tool_checks import heights_above, warn_of_motion, warn_of_tools
 from jaxform.io.unit_checks import warn_of_units
 from jaxform.mechanics.membrane import equibiaxial_energy
-from jaxform.mesh import masks, raster
+from jaxform.mesh import masks, raster, topology
 from jaxform.model.mesh_connectivity import warn_of_connectivity
 from jaxform.model.scene import Scene
 from jaxform.results import sections
@@ -452,5 +452,8 @@ def _thin_feature(scene: Scene, side: float) -> Ribs | None:
     positions = np.asarray(scene.parison.positions, float)
     sheet = positions[np.asarray(scene.parison.triangles)]
     mold = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
-    held = positions[np.asarray(scene.parison.clamped)]
+    clamped, rim = np.asarray(scene.parison.clamped), topology.boundary_edges(np.asarray(scene.parison.triangles))
+    # Nodes of a rim may be far apart where elements are of different sizes.
+    along = topology.edge_points(positions[rim[clamped[rim].all(1)]], side)
+    held = np.concatenate([positions[clamped], along]).astype(float)
     return slender_feature(sheet, mold, seen.push / np.linalg.norm(seen.push), side, held)

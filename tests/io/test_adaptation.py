@@ -15,7 +15,6 @@ from benchmarks.accuracy import cases
 from jaxform.cli import main
 from jaxform.core.errors import InputError
 from jaxform.io import adaptation, files, geometry, scene_rewriting
-from jaxform.mesh.volumes import areas
 from jaxform.model.scene import Scene
 
 pytest.importorskip("mmgpy")
@@ -77,10 +76,6 @@ def test_the_command_writes_a_scene_that_is_more_accurate(tmp_path: Path, capsys
     assert document.model.parison.adapt is None and document.model.parison.mesh is not None
     adapted, uniform = files.build(document), files.build(files.read_scene(_write(tmp_path, elements=600)))
     assert 540 <= len(adapted.parison.triangles) <= 600 <= len(uniform.parison.triangles)
-    assert (
-        abs(areas(np.asarray(adapted.parison.positions), np.asarray(adapted.parison.triangles)).sum() / (np.pi / 4) - 1)
-        < 1e-3
-    )
     for got, even in zip(_errors(adapted), _errors(uniform), strict=True):
         assert got < 0.012 < 0.6 * even, (got, even)
     # The key in the scene gives the same mesh.
@@ -92,11 +87,15 @@ def test_a_best_design_keeps_the_mesh_that_it_was_found_on(tmp_path: Path) -> No
     document = files.read_scene(_write(tmp_path, "adapt = { elements = 200, passes = 1 }", elements=60))
     sheet = geometry.build_sheet(document)
     thickness = 0.01 + 0.001 * sheet.positions[:, 0]
+    (tmp_path / "best").mkdir()
     path = scene_rewriting.write_scene(document, {"parison.thickness": thickness}, tmp_path / "best")
-    scene = files.build(files.read_scene(path))
-    np.testing.assert_array_equal(scene.parison.positions, sheet.positions)
-    np.testing.assert_array_equal(scene.parison.clamped, sheet.clamped)
-    np.testing.assert_allclose(scene.parison.thickness, thickness, rtol=1e-12)
+    best = files.read_scene(path)
+    again = geometry.build_sheet(best)
+    np.testing.assert_array_equal(again.positions, sheet.positions)
+    np.testing.assert_array_equal(again.triangles, sheet.triangles)
+    np.testing.assert_array_equal(again.clamped, sheet.clamped)
+    np.testing.assert_array_equal(again.fixed, sheet.fixed)
+    np.testing.assert_allclose(files.build(best).parison.thickness, thickness, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,117 @@
+"""What adapted meshes buy: error and time of adapted and uniform runs of cup and dish, against the exact wall.
+
+`python -m benchmarks.accuracy.adaptation [cup] [deep]`. The error is that of the whole wall at the pressure reached,
+nothing cut, by initial area: of the elements and of the recovered wall at the nodes. An adapted run's time is that of
+all its runs, and of the meshing between them; compiling is left out. The last line of each cup is the adapted run's time
+over that of a uniform mesh as accurate, by the nodes, interpolated between sizes.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+import jaxform
+from benchmarks.accuracy import cases
+from benchmarks.timing import one_core
+from jaxform.adapt import mesher
+from jaxform.mesh.shapes import Sheet
+from jaxform.model.scene import Scene
+from jaxform.results.size_field import wanted_sizes
+
+_FIRST = 600  # elements of the mesh on which an adapted run begins
+_PASSES = 2
+_SIZES = (600, 2500, 10000)
+
+
+class Row(NamedTuple):
+    """A run: elements, relative errors of elements, nodes and the thinnest wall, and the time [s] of all its runs."""
+
+    elements: int
+    errors: dict[str, float]
+    seconds: float
+
+
+class Cup(NamedTuple):
+    """A cup of the accuracy cases: its law, depth, pressure and table of the exact wall."""
+
+    law: Any
+    depth: float
+    pressure: float
+    table: str
+
+    def scene(self, sheet: Sheet) -> Scene:
+        """The scene of a sheet of radius 1."""
+        return cases.sheet_in_cup(sheet, self.law, self.depth, self.pressure)
+
+
+def show_uniform(cup: Cup, elements: int) -> Row:
+    """A run on a uniform mesh."""
+    scene = cup.scene(_disc(elements))
+    made = cases.cup_errors(scene, cup.table)
+    return Row(made.elements, made.errors, made.seconds)
+
+
+def show_adapted(cup: Cup, elements: int) -> Row:
+    """A run on an adapted mesh, with the runs that it needs."""
+    sheet, spent = _disc(min(_FIRST, elements)), 0.0
+    for _ in range(_PASSES):
+        scene = cup.scene(sheet)
+        result = jaxform.run(scene)
+        began = time.perf_counter()
+        sheet = mesher.remesh(sheet, wanted_sizes(scene, result), elements)
+        spent += cases.seconds(result) + time.perf_counter() - began
+    made = cases.cup_errors(cup.scene(sheet), cup.table)
+    return Row(made.elements, made.errors, made.seconds + spent)
+
+
+def _disc(elements: int) -> Sheet:
+    return jaxform.shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
+
+
+def time_of_uniform(rows: list[Row], error: float, kind: str = "nodal thickness") -> float:
+    """The time [s] of a uniform run of an error, by a power law through runs; NaN where it is beyond them."""
+    logs = np.log([[row.errors[kind], row.seconds] for row in rows])
+    order = np.argsort(logs[:, 0])
+    found = np.interp(np.log(error), logs[order, 0], logs[order, 1], np.nan, np.nan)
+    return float(np.exp(found))
+
+
+CUPS = {
+    "cup": Cup(cases.mooney(0.0), 0.8, 40.0, "cup-at-40"),
+    "deep": Cup(cases.modified(2.2e-6 / 0.143), 1.2, 30.0, "deep-cup-at-30"),
+}
+
+
+def _say(name: str, row: Row) -> None:
+    shown = ", ".join(f"{key} {100 * value:.3f} %" for key, value in row.errors.items())
+    print(f"  {name} {row.elements}: {shown}; {row.seconds:.2f} s", flush=True)
+
+
+def main(names: list[str]) -> None:
+    """Prints errors, times, orders and the ratio of times of some cups, by default of all."""
+    jax.config.update("jax_enable_x64", True)
+    one_core()
+    for name in names or CUPS:
+        cup = CUPS[name]
+        print(f"{name}:", flush=True)
+        rows: dict[str, list[Row]] = {"uniform": [], "adapted": []}
+        for kind, show in (("uniform", show_uniform), ("adapted", show_adapted)):
+            for elements in _SIZES:
+                rows[kind].append(show(cup, elements))
+                _say(kind, rows[kind][-1])
+            counts = [row.elements for row in rows[kind]]
+            for what in ("element thickness", "nodal thickness"):
+                errors = [row.errors[what] for row in rows[kind]]
+                print(f"  order, {what}: {cases.order(counts[::2], errors[::2])[0]:.2f} over all", flush=True)
+        row = rows["adapted"][1]
+        even = time_of_uniform(rows["uniform"], row.errors["nodal thickness"])
+        print(f"  adapted over uniform of the same error: {row.seconds / even:.2f} of its time", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
