@@ -2,8 +2,8 @@
 
 `python -m benchmarks.accuracy.adaptation [cup] [deep]`. The error is that of the whole wall at the pressure reached,
 nothing cut, by initial area: of the elements and of the recovered wall at the nodes. An adapted run's time is that of
-all its runs, and of the meshing between them; compiling is left out. The last line of each cup is the adapted run's time
-over that of a uniform mesh as accurate, by the nodes, interpolated between sizes.
+all its runs, and of the meshing between them; compiling is left out. The last line of each cup is the time of the
+adapted run over that of a uniform mesh as accurate, by the nodes, interpolated between sizes.
 """
 
 from __future__ import annotations
