@@ -48,6 +48,8 @@ class Study:
         learning_rate: Learning rate of Adam; the bounds are 4 apart.
         warm_start: Updates of the fixed point before the search; None for as many as halve the value, for a
             target or an even wall of which the sheet is a variable.
+        hops: Number of searches that follow one which ends in a local optimum above the goal, each from the best design
+            with all numbers shifted at random by a few per cent of their bounds; 0 for none.
         starts: Number of searches: the first from the scene's own design, the others from low-discrepancy points within
             the bounds; the best of their designs is the result.
         first: The search's numbers (n,) of the first design; None for the scene's own.
@@ -69,6 +71,7 @@ class Study:
     minutes: float | None = None
     learning_rate: float = 0.1
     warm_start: int | None = None
+    hops: int = 0
     starts: int = 1
     first: np.ndarray | None = None
     rounds: int = 8

@@ -45,6 +45,7 @@ class Search:
         history: Rows so far.
         simulations: Cost so far in simulations without gradient.
         iteration: Step of the search that is being tried.
+        most_iterations: The step at which the search ends; a hop allows as many again.
         pause: The step at which a round ends, though the search goes on.
         best: The best design so far.
         stopped: Whether the caller has stopped the search.
@@ -69,6 +70,7 @@ class Search:
     history: list[dict[str, Any]] = field(default_factory=list)
     simulations: float = 1.0
     iteration: int = 0
+    most_iterations: int = 0
     pause: float = np.inf
     best: Point | None = None
     stopped: bool = False
@@ -88,6 +90,7 @@ class Search:
     def __post_init__(self) -> None:
         splits = np.cumsum([variable.start.size for variable in self.study.variables])[:-1]
         self._splits = [int(split) for split in splits]
+        self.most_iterations = self.study.iterations
         self._began, self._clock = time.perf_counter(), time.process_time()
         self._costs: dict[str, float] = {}
         self._curved: tuple[Point, np.ndarray] | None = None
@@ -342,7 +345,7 @@ class Search:
 
     def begin(self) -> Ending | None:
         """Starts an iteration; returns the ending where the study or the round allows no more."""
-        if self.iteration >= min(self.study.iterations, self.pause):
+        if self.iteration >= min(self.most_iterations, self.pause):
             return Ending("iterations", f"{self.iteration} iterations done")
         self.iteration += 1
         return None

@@ -18,6 +18,7 @@ from optimize import feasibility, sensitivity_check
 from optimize.descent import adam, lbfgs
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Point, Study
 from optimize.fixed_point import fixed_point, warm_start
+from optimize.hopping import hop
 from optimize.journal import Journal
 from optimize.least_squares import least_squares
 from optimize.penalty_rounds import fall_back, rounds
@@ -243,6 +244,9 @@ def _check_method(study: Study) -> None:
         if paths.count(path) > 1:
             raise InputError("is changed by two variables", "keep one of them", "variable", path)
     objective = study.objective
+    if study.hops and (objective.constrained or study.method == "fixed-point"):
+        what = "an objective without limits" if objective.constrained else "a method that takes gradients"
+        raise InputError(f"need {what}", "leave them out, or use starts", "solver.hops", study.hops)
     if study.method == "least-squares" and (not objective.squares or objective.constrained):
         remedy = "use the method lbfgs, or the objective target or uniform"
         raise InputError(
@@ -274,7 +278,7 @@ def _run_search(
         free = last.free if search.limits is not None and np.isfinite(last.value) else search.best.free
         if search.limits is None and not search.stopped and (reached := check_goal(study, search.best)):
             return reached
-    point = search.evaluate_forward(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
+    point = _evaluate_first(search, study, free)
     if search.stopped:
         return STOPPED
     if not np.isfinite(point.value) and study.first is not None:
@@ -289,7 +293,16 @@ def _run_search(
         if on_check is not None:
             on_check(error)
     method = METHODS[study.method]
-    return rounds(search, study, point, method) if study.objective.constrained else method(search, study, point)[1]
+    if study.objective.constrained:
+        return rounds(search, study, point, method)
+    return hop(
+        search, study, method(search, study, point)[1], method, lambda free: _evaluate_first(search, study, free)
+    )
+
+
+def _evaluate_first(search: Search, study: Study, free: np.ndarray) -> Point:
+    """The first design of a search, with its gradient where the method does not take its own."""
+    return search.evaluate_forward(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
 
 
 def _approach_own_design(search: Search, study: Study, point: Point) -> Point:
@@ -297,7 +310,7 @@ def _approach_own_design(search: Search, study: Study, point: Point) -> Point:
     own = np.concatenate([variable.start for variable in study.variables])
     for _ in range(_HALVINGS):
         free = 0.5 * (point.free + own)
-        point = search.evaluate_forward(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
+        point = _evaluate_first(search, study, free)
         if np.isfinite(point.value) or search.stopped:
             break
     return point

@@ -34,7 +34,17 @@ from optimize.sheets import ThicknessField, ThicknessProfile
 from optimize.variables import Scale, Variable
 from optimize.wall_statistics import formed_part
 
-_HOW_LONG = ("iterations", "max_simulations", "minutes", "rounds", "goal", "tolerance", "gradient_tolerance", "starts")
+_HOW_LONG = (
+    "iterations",
+    "max_simulations",
+    "minutes",
+    "rounds",
+    "goal",
+    "tolerance",
+    "gradient_tolerance",
+    "hops",
+    "starts",
+)
 
 
 def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:

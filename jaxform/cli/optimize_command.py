@@ -95,7 +95,7 @@ def optimize_study(arguments: argparse.Namespace) -> int:
         say(f"{journal.replayed} evaluations were reused from the journal")
     optimize.write_history(folder / "history.csv", design.history)
     _write_design(arguments, study, design, reference)
-    _tell_design(say, design, folder)
+    _tell_design(say, design, study.goal, folder)
     return _exit_status(design)
 
 
@@ -190,9 +190,12 @@ def _changes_sheet(changes: dict[str, Any]) -> bool:
     return any(key.startswith(("parison.", "material.")) for key in changes)
 
 
-def _compare_starts(design: Any) -> str:
-    """How many starts lead to the same objective, in words."""
+def _compare_starts(design: Any, goal: float | None) -> str:
+    """How many starts lead to the goal, or, where none is set or reached, to the same objective, in words."""
     found = [row["objective"] for row in design.starts if row["objective"] != ""]
+    if goal is not None and design.objective <= goal:
+        there = sum(value <= goal for value in found)
+        return f"{there} of {len(design.starts)} starts reach the goal of {goal:.4g} ({STARTS})"
     near = sum(value <= (1.0 + _SAME) * design.objective for value in found)
     failed = len(design.starts) - len(found)
     return (
@@ -201,7 +204,7 @@ def _compare_starts(design: Any) -> str:
     )
 
 
-def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
+def _tell_design(say: Callable[[str], None], design: Any, goal: float | None, folder: Path) -> None:
     facts = design.summary()
     first, best = facts["before"], facts["after"]
     if best["thickness_rms_error"] is not None:
@@ -215,7 +218,7 @@ def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
         f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
     )
     if design.starts:
-        say(_compare_starts(design))
+        say(_compare_starts(design, goal))
     if facts["multiplier"] is not None:
         # The violations are reported with the status.
         kept = "violated" if design.broken else f"satisfied to {100 * facts['violation']:.2g} %"

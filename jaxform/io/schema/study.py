@@ -246,6 +246,9 @@ class _SearchTable(Table):
         goal: Stops when the objective is at most this.
         warm_start: Updates of the fixed point before the first iteration; by default as many as halve the objective,
             for a target or an even wall of which the sheet is a variable.
+        hops: Searches that follow one which ends in a local optimum above the goal, each from the best design with all
+            numbers shifted at random by 4 % of their bounds (basin hopping); for an objective without limits. Each has
+            its own number of iterations.
         starts: Number of whole searches: one from the scene's own design, the others from points spread evenly within
             the bounds; the best design is the result. Limits on iterations, simulations and time are those of each.
         rounds: Largest number of multiplier rounds for limits.
@@ -258,6 +261,7 @@ class _SearchTable(Table):
     gradient_tolerance: NotNegative | None = None
     goal: Positive | None = None
     warm_start: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
+    hops: Annotated[int, Field(ge=0, le=10_000)] = 0
     starts: Annotated[int, Field(ge=1, le=10_000)] = 1
     rounds: Count | None = None
 
