@@ -12,8 +12,6 @@ not held alone, took 49.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -97,12 +95,8 @@ def _first_size(search: Search, point: Point) -> float:
     return min(_FIRST_STEP, max(steepest, _LEAST_FIRST_STEP))
 
 
-class _IntervalEnd(NamedTuple):
-    """An end of the interval that holds the step: its length, and value and slope there."""
-
-    length: float
-    value: float
-    slope: float
+_IntervalEnd = tuple[float, float, float]
+"""An end of the interval that holds the step: its length, and value and slope there."""
 
 
 def _line_search(search: Search, point: Point, direction: np.ndarray) -> tuple[Point | None, bool]:
@@ -111,19 +105,19 @@ def _line_search(search: Search, point: Point, direction: np.ndarray) -> tuple[P
     The way is bent where it meets bounds.
     """
     slope = float(direction @ point.slope)
-    short, long, length = _IntervalEnd(0.0, point.value, slope), _IntervalEnd(np.inf, np.inf, np.nan), 1.0
+    short, long, length = (0.0, point.value, slope), (np.inf, np.inf, np.nan), 1.0
     better: Point | None = None
     for _ in range(_TRIALS):
         trial = search(search.inside(point.free + length * direction))
         moving = np.abs(trial.free) < search.reach
-        end = _IntervalEnd(length, trial.value, float(trial.gradient @ np.where(moving, direction, 0.0)))
+        end = length, trial.value, float(trial.gradient @ np.where(moving, direction, 0.0))
         if trial.value < (better or point).value:
             better = trial
         if search.stopped:
             break
         if not trial.value <= point.value + _SUFFICIENT * length * slope:
             long = end
-        elif end.slope < _CURVATURE * slope:
+        elif end[2] < _CURVATURE * slope:
             short = end
         else:
             return trial, True
@@ -133,16 +127,17 @@ def _line_search(search: Search, point: Point, direction: np.ndarray) -> tuple[P
 
 def _cubic_minimum(short: _IntervalEnd, long: _IntervalEnd) -> float:
     """Minimum of the cubic through both ends, well inside; twice the shorter length where there is no longer one."""
-    if np.isinf(long.length):
-        return 2.0 * short.length
-    width = long.length - short.length
+    (length, value, slope), (far_length, far_value, far_slope) = short, long
+    if np.isinf(far_length):
+        return 2.0 * length
+    width = far_length - length
     share = 0.5
-    if np.isfinite(long.value):
-        first = short.slope + long.slope - 3.0 * (long.value - short.value) / width
-        root = np.sqrt(max(first**2 - short.slope * long.slope, 0.0))
-        below = long.slope - short.slope + 2.0 * root
-        share = 1.0 - (long.slope + root - first) / below if below != 0.0 else 0.5
-    return short.length + width * float(np.clip(share, *_INSIDE))
+    if np.isfinite(far_value):
+        first = slope + far_slope - 3.0 * (far_value - value) / width
+        root = np.sqrt(max(first**2 - slope * far_slope, 0.0))
+        below = far_slope - slope + 2.0 * root
+        share = 1.0 - (far_slope + root - first) / below if below != 0.0 else 0.5
+    return length + width * float(np.clip(share, *_INSIDE))
 
 
 def adam(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:

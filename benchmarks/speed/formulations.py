@@ -116,7 +116,7 @@ def packed_formulation(sheet: Sheet, *, paired: bool = True) -> packing.Packed:
 
 
 def _shares(elements: Elements) -> GatherTable:
-    return GatherTable(elements.slots, jnp.max(elements.row_count))
+    return elements.slots, jnp.max(elements.row_count)
 
 
 def _weight(sheet: Sheet) -> jax.Array:

@@ -335,18 +335,19 @@ def _bisect_state(
     active: ActiveSet | None,
 ) -> tuple[State, Discretization]:
     """The state with the queue's triangles bisected."""
-    differentiable, forest, wood = active is None, adaptivity.forest, discrete.forest_properties
+    differentiable, forest, properties = active is None, adaptivity.forest, discrete.forest_properties
     before, state = state, synchronize_velocity(state, scene, discrete, active)
     mesh = dataclasses.replace(bisect_mesh(state.refined_mesh, queue, forest), split_at=split_at)
-    body = refined_discretization(scene, forest, mesh, wood)
-    new = insert_nodes(state, mesh, scene, adaptivity, wood.volumes, differentiable=differentiable)
+    body = refined_discretization(scene, forest, mesh, properties)
+    new = insert_nodes(state, mesh, scene, adaptivity, properties[0], differentiable=differentiable)
     new = _inherit_state(new, state, mesh, forest)
     # What concerns the energy balance alone carries no derivative.
-    held, new_held = (totals_of(s, scene, b) for s, b in ((state, discrete), (new, body)))
+    energy, volume = totals_of(state, scene, discrete)
+    new_energy, new_volume = totals_of(new, scene, body)
     kinetic, new_kinetic = (
         jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, discrete), (new, body))
     )
-    loss = held.energy + kinetic - new_held.energy - new_kinetic
+    loss = energy + kinetic - new_energy - new_kinetic
     made = dataclasses.replace(
         new,
         mesh=mesh,
@@ -354,7 +355,7 @@ def _bisect_state(
         account=dataclasses.replace(
             state.account,
             refinement_loss=state.account.refinement_loss + loss,
-            volume=state.account.volume + new_held.volume - held.volume,
+            volume=state.account.volume + new_volume - volume,
         ),
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.

@@ -93,7 +93,7 @@ def _value(
         positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)
     damping = scene.solver.damping
     if damping is not None:
-        timing = WindowTiming(state.time, state.control.step_length, control.last_length)
+        timing = state.time, state.control.step_length, control.last_length
         back = _is_reversible(damping, timing, control.last_count)
         positions, velocities = (
             jnp.where(back, late, early)
@@ -121,7 +121,8 @@ def _value(
 
 def _is_reversible(damping: jax.Array, timing: WindowTiming, count: jax.Array) -> jax.Array:
     """True where damping leaves enough of a velocity to invert the steps; longer windows are limited to that."""
-    half = 0.5 * damping * jnp.maximum(timing.before, timing.length)
+    _, before, length = timing
+    half = 0.5 * damping * jnp.maximum(before, length)
     return (count > SHORT_WINDOW) | (1.0 - half > LEAST_LEFT ** (1.0 / SHORT_WINDOW) * (1.0 + half))
 
 
@@ -139,7 +140,7 @@ def _recompute_end(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
     velocities = jnp.where(packed.exists, packed.pack(kept.velocities), 0.0)
     if damping is None:
         return ReverseStart(begin, velocities)
-    keeps = ~_is_reversible(damping, WindowTiming(kept.time, kept.before, kept.length), kept.count)
+    keeps = ~_is_reversible(damping, (kept.time, kept.before, kept.length), kept.count)
     places, count = now.mass.size, jnp.where(keeps, now.count, 0)
 
     def advance(carry: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -173,7 +174,7 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     scene, begun = kept.scene, cotangents.of[0]
     discrete = present_discretization(scene, kept.mesh, kept.first)
     packed = pack_moving(kept.stuck, kept.mesh, scene, discrete)
-    timing, longest = WindowTiming(kept.time, kept.before, kept.length), scene.tables.window_room
+    timing, longest = (kept.time, kept.before, kept.length), scene.tables.window_room
     (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing, longest), scene.pressure)
     number = jnp.arange(longest)
     taken = number < kept.count

@@ -179,9 +179,10 @@ class Store:
 
     def _file(self, key: _ProgramKey) -> Path | None:
         """The file of a program; None where it is kept in no file: only programs of the first device are."""
-        if not is_internal(key.tree) or ":" in key.backend:
+        function, tree, _, backend = key
+        if not is_internal(tree) or ":" in backend:
             return None
-        return self._path(key.function.__name__, tuple(str(part) for part in key[1:]))
+        return self._path(function.__name__, tuple(str(part) for part in key[1:]))
 
     def start_program(self, function: Any, *arguments: Any) -> PendingProgram:
         """The program as `program` has it, compiled while others are traced and compiled."""
@@ -284,19 +285,14 @@ class Store:
                 file.unlink(missing_ok=True)
 
 
-class _ProgramKey(NamedTuple):
-    """Key of a program in memory: the function, the structure of its arguments, their shapes and types."""
-
-    function: Any
-    tree: Any
-    kinds: tuple[tuple[tuple[int, ...], Any], ...]
-    backend: str
+_ProgramKey = tuple[Any, Any, tuple[tuple[tuple[int, ...], Any], ...], str]
+"""Key of a program in memory: the function, the structure of its arguments, their shapes and types, the backend."""
 
 
 def _key(function: Any, arguments: Any) -> _ProgramKey:
     leaves, tree = jax.tree.flatten(arguments)
     kinds = tuple((np.shape(leaf), getattr(leaf, "dtype", type(leaf))) for leaf in leaves)
-    return _ProgramKey(function, tree, kinds, _backend_name())
+    return function, tree, kinds, _backend_name()
 
 
 def _backend_name() -> str:

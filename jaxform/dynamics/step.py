@@ -38,7 +38,7 @@ from jaxform.mechanics.corners import (
     update_history,
     viscous_corner_forces,
 )
-from jaxform.mechanics.elements import Corners, GatherTable, gather_shares, gather_table
+from jaxform.mechanics.elements import Corners, gather_shares, gather_table
 from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
 from jaxform.model.field import Surroundings, advance_fields
@@ -155,14 +155,14 @@ def _add_viscous_loss(moving: WindowState, length: jax.Array, remembered: Histor
     before = moving.account.viscous_loss
     if before is None or remembered is None:
         return before
-    return before + jnp.where(moving.count == 0, 0.5, 1.0) * length * remembered.loss
+    return before + jnp.where(moving.count == 0, 0.5, 1.0) * length * remembered[1]
 
 
 def _update_memory(moving: WindowState, remembered: HistoryUpdate | None) -> jax.Array | None:
     """History of the elements after the step; unchanged in a halted window."""
     if remembered is None or moving.memory is None or moving.room is not None:
-        return None if remembered is None else remembered.history
-    return jnp.where(moving.halted, moving.memory, remembered.history)
+        return None if remembered is None else remembered[0]
+    return jnp.where(moving.halted, moving.memory, remembered[0])
 
 
 def finalize_history(moving: WindowState, scene: Scene, now: WindowData) -> WindowState:
@@ -172,11 +172,9 @@ def finalize_history(moving: WindowState, scene: Scene, now: WindowData) -> Wind
     if memory is None or modes is None or lost is None:
         return moving
     load = Load(moving.nodes.positions, now.active.thickness, now.length, scene.material.elastic, memory)
-    found = present_mode_stress(load, now.active.packed.elements, modes, differentiable=moving.room is None)
-    lost += jnp.where(moving.count == 0, 0.0, 0.5) * now.length * found.loss
-    return dataclasses.replace(
-        moving, memory=found.history, account=dataclasses.replace(moving.account, viscous_loss=lost)
-    )
+    stress, rate = present_mode_stress(load, now.active.packed.elements, modes, differentiable=moving.room is None)
+    lost += jnp.where(moving.count == 0, 0.0, 0.5) * now.length * rate
+    return dataclasses.replace(moving, memory=stress, account=dataclasses.replace(moving.account, viscous_loss=lost))
 
 
 def _advance_fields(
@@ -388,7 +386,7 @@ def _walk_nodes(
         stuck, mass, compliance, tool = jax.tree.map(
             lambda values: membrane.gather(values, node), (own.stuck, now.active.mass, now.active.compliance, own.tool)
         )
-        table = GatherTable(membrane.gather(slots, node), jnp.int32(len(slots)))
+        table = membrane.gather(slots, node), jnp.int32(len(slots))
         nodal = add_gravity(gather_shares(corners, table), mass, scene.solver.gravity)
         old = vector(before.velocities)
         free, _ = update_velocity(nodal, old, (stuck, mass, compliance), steps[0], damping)

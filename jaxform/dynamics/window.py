@@ -44,7 +44,7 @@ from jaxform.sheet.active_set import ActiveSet, Workspace, active_set_of
 from jaxform.sheet.cooling import cool_state
 from jaxform.sheet.discretization import NEVER, Discretization
 from jaxform.sheet.energy_balance import rim_places
-from jaxform.sheet.scheme import WindowTiming, pressures, velocity_steps
+from jaxform.sheet.scheme import pressures, velocity_steps
 from jaxform.sheet.state import PackedState, Schedule, State
 
 _STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a schedule
@@ -131,7 +131,7 @@ def _step_window(
         losing=None if modes is None else modes.limit_losses(length),
         rim=rim_places(scene, state.mesh, active.packed),
     )
-    timing = WindowTiming(state.time, state.control.step_length, length)
+    timing = state.time, state.control.step_length, length
     longest = scene.tables.window_room
     steps = *pressures(scene.pressure, timing, longest), velocity_steps(timing, longest)
     lists = None

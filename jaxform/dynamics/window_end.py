@@ -214,8 +214,8 @@ def _health(
     """Errors of the state at a window's end, as bits of `Status`, and its energy imbalance [J]."""
     state, scene, active = jax.lax.stop_gradient((state, scene, active))
     law = active.law(scene.material)
-    inside = element_energy(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)
-    strain, volume = inside.energy + active.idle_energy, inside.volume + active.idle_volume
+    energy, volume = element_energy(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)
+    strain, volume = energy + active.idle_energy, volume + active.idle_volume
     held = strain + end.kinetic + sum(state.account.losses().values())
     excess = held - state.account.work - last_work(state, scene, volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.

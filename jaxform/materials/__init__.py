@@ -1,6 +1,6 @@
 """Material models of the sheet, one file each; a new one is a file like `gent.py`, and its import here."""
 
-from jaxform.materials.cooling import Cooling, ToolContact, Touching
+from jaxform.materials.cooling import Cooling, Touching
 from jaxform.materials.gent import Gent
 from jaxform.materials.law import LAWS, Law, PlaneLaw, Slope, law
 from jaxform.materials.mooney_rivlin import ModifiedMooneyRivlin, MooneyRivlin
@@ -30,7 +30,6 @@ __all__ = [
     "Recursion",
     "Shift",
     "Slope",
-    "ToolContact",
     "Touching",
     "Wlf",
     "Yeoh",

@@ -8,7 +8,6 @@ resistance that follows from the heat through both.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,19 +19,11 @@ from jaxform.core.ranges import RANGES
 _SHORT = 1e-3  # of the time that cooling takes: shorter times take a series
 
 
-class ToolContact(NamedTuple):
-    """Contact of walls (n,) with a tool: the share of one side, in area and time; the tool's numbers.
+Touching = jax.Array | Sequence[tuple[jax.Array, jax.Array, jax.Array]]
+"""Share (n,) of one side, in area and time, in contact with the mold; or the contact with each of several tools.
 
-    These are its heat transfer coefficient [W/(m^2 K)] and its temperature [degC].
-    """
-
-    share: jax.Array
-    heat_transfer: jax.Array
-    temperature: jax.Array
-
-
-Touching = jax.Array | Sequence[ToolContact]
-"""Share (n,) of one side, in area and time, in contact with the mold; or the contact with each of several tools."""
+The latter is that share, the tool's heat transfer coefficient [W/(m^2 K)], and its temperature [degC].
+"""
 
 
 @pytree
@@ -81,7 +72,7 @@ class Cooling:
         free = self._heat_transfer(self.air, self.air_temperature, wall)
         tools = touching
         if not isinstance(touching, Sequence):
-            tools = [ToolContact(touching, self.mold, self.mold_temperature)]
+            tools = [(touching, self.mold, self.mold_temperature)]
         conductance, drive = free
         for share, coefficient, other in tools:
             held = self._heat_transfer(coefficient, other, wall)

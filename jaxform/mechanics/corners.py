@@ -91,11 +91,8 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     return add_overflow(corners, elements), volume / 6.0
 
 
-class HistoryUpdate(NamedTuple):
-    """History of the elements after a step (4 n_mode, capacity), and the dissipated power [W]."""
-
-    history: jax.Array
-    loss: jax.Array
+HistoryUpdate = tuple[jax.Array, jax.Array]
+"""History of the elements after a step (4 n_mode, capacity), and the dissipated power [W]."""
 
 
 def viscous_corner_forces(
@@ -120,7 +117,7 @@ def viscous_corner_forces(
     (rest, *corners), (volume, loss) = over_blocks(
         work, elements.block_count, inputs, [memory.history, *into], sums=2, update=1, kept=False
     )
-    return add_overflow(corners, elements), volume / 6.0, HistoryUpdate(rest, loss)
+    return add_overflow(corners, elements), volume / 6.0, (rest, loss)
 
 
 def update_history(load: Load, elements: Elements, modes: Modes, recursion: Recursion) -> HistoryUpdate:
@@ -129,7 +126,7 @@ def update_history(load: Load, elements: Elements, modes: Modes, recursion: Recu
     found = overstress(*element_metrics(load.positions, elements), load.memory)
     rate = modes.loss(found.modes, found.strained)
     loss = jnp.where(elements.area > 0.0, elements.area * load.thickness * rate, 0.0)
-    return HistoryUpdate(jnp.stack(found.updated_history(recursion)), jnp.sum(loss))
+    return jnp.stack(found.updated_history(recursion)), jnp.sum(loss)
 
 
 def present_mode_stress(load: Load, elements: Elements, modes: Modes, *, differentiable: bool) -> HistoryUpdate:
@@ -144,7 +141,7 @@ def present_mode_stress(load: Load, elements: Elements, modes: Modes, *, differe
 
     if differentiable:
         stress, lost = work(*element_metrics(load.positions, elements), elements.area * load.thickness, memory, modes)
-        return HistoryUpdate(jnp.stack(stress), jnp.sum(lost))
+        return jnp.stack(stress), jnp.sum(lost)
     zones = {"gain": memory.gain} if memory.gain.ndim == 2 else {}
 
     def update_block(old: Any, triangles: jax.Array, inverse: Any, volume: Any, zones: Any, block_modes: Any) -> Any:
@@ -163,7 +160,7 @@ def present_mode_stress(load: Load, elements: Elements, modes: Modes, *, differe
     (stress,), (loss,) = over_blocks(
         update_block, elements.block_count, inputs, [memory.history], sums=1, update=1, kept=False
     )
-    return HistoryUpdate(stress, loss)
+    return stress, loss
 
 
 def _per_element_modes(modes: Modes) -> Modes | None:

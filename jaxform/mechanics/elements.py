@@ -69,16 +69,13 @@ def typical_row_count(paired: bool) -> int:
     return _USUAL_PAIR_ROWS if paired else _USUAL_ROWS
 
 
-class GatherTable(NamedTuple):
-    """Places of the nodes' shares of corner forces, for `over_blocks`; as in `Elements`."""
-
-    slots: jax.Array
-    row_count: Any
+GatherTable = tuple[jax.Array, Any]
+"""Places of the nodes' shares of corner forces: `slots` and `row_count` of `Elements`, or those of a block."""
 
 
 def gather_table(elements: Elements) -> GatherTable:
-    """The nodes' shares of corner forces."""
-    return GatherTable(elements.slots, PerBlock(elements.row_count))
+    """The nodes' shares of corner forces, for `over_blocks`."""
+    return elements.slots, PerBlock(elements.row_count)
 
 
 def add_overflow(corners: Corners, elements: Elements) -> Corners:
@@ -105,7 +102,7 @@ def add_overflow(corners: Corners, elements: Elements) -> Corners:
 
 def gather_shares(corners: Corners, table: GatherTable) -> list[jax.Array]:
     """Sum (n,) at nodes of their `own` shares of corner forces, component by component."""
-    flat, slots = [corner.reshape(-1) for corner in corners], table.slots
+    flat, (slots, row_count) = [corner.reshape(-1) for corner in corners], table
 
     def add(k: jax.Array, totals: list[jax.Array]) -> list[jax.Array]:
         return [total + gather(corner, slots[k]) for total, corner in zip(totals, flat, strict=True)]
@@ -114,7 +111,7 @@ def gather_shares(corners: Corners, table: GatherTable) -> list[jax.Array]:
     totals = gather_sum(flat, slots[:usual])
     if len(slots) > usual:
         # Few nodes have more, and they are packed together.
-        totals = jax.lax.fori_loop(usual, table.row_count, add, totals)
+        totals = jax.lax.fori_loop(usual, row_count, add, totals)
     return totals
 
 
@@ -156,12 +153,8 @@ def element_block(elements: Elements) -> ElementBlock:
     return ElementBlock(elements.triangles, elements.inverse_metric, elements.area, elements.orientation)
 
 
-class EdgeVectors(NamedTuple):
-    """A nodal vector field at elements: at the first node, and differences along both edges; three (n,) each."""
-
-    first: Vector
-    edge1: Vector
-    edge2: Vector
+EdgeVectors = tuple[Vector, Vector, Vector]
+"""A nodal vector field at elements: at the first node, and differences along both edges; three (n,) each."""
 
 
 def edge_vectors(block: ElementBlock, *nodal: Vector) -> list[EdgeVectors]:
@@ -177,7 +170,8 @@ def edge_vectors(block: ElementBlock, *nodal: Vector) -> list[EdgeVectors]:
         edge1 = minus(second, first)
         if block.orientation is not None:
             first, edge1 = (materialize(_duplicate_halves(v)) for v in materialize((first, edge1)))
-        return EdgeVectors(first, *materialize((edge1, minus(third, first))))
+        edge1, edge2 = materialize((edge1, minus(third, first)))
+        return first, edge1, edge2
 
     return [at_elements(*(vector(corner[k : k + 3]) for corner in corners)) for k in range(0, len(rows), 3)]
 
@@ -222,7 +216,8 @@ def masked_metrics(there: jax.Array, g: Metric, inverse: jax.Array) -> tuple[Met
 
 def element_normals(sides: EdgeVectors, block: ElementBlock) -> Vector:
     """Twice the current area long (n,), and nothing where the place is not in use; kept for all its uses."""
-    normal = cross(sides.edge1, sides.edge2)
+    _, edge1, edge2 = sides
+    normal = cross(edge1, edge2)
     if block.orientation is not None:
         return materialize(vector(block.orientation * x for x in normal))
     return materialize(vector(jnp.where(block.area > 0.0, x, 0.0) for x in normal))

@@ -25,7 +25,7 @@ from jaxform.sheet.energy_balance import (
     present_pressure,
     strain_energy,
 )
-from jaxform.sheet.heat import ThermalElements, ThermalState, temperature_change, tool_contact
+from jaxform.sheet.heat import ThermalState, temperature_change, tool_contact
 from jaxform.sheet.scheme import present_kinetic_energy
 from jaxform.sheet.state import LOSS, Schedule, State, Taken, is_at_rest
 
@@ -362,14 +362,14 @@ def _change_of_temperature(
     wall = now.thickness * jnp.where(used, ratio, 1.0)
     share = tool_contact(scene, nodes, sheet.triangles, heat.time, time)
     density = now.zones.get("density", scene.material.density)
-    walls = ThermalElements(now.temperature, wall, share, density)
-    change = temperature_change(heat, cooling, walls, time)
+    first = now.temperature
+    change = temperature_change(heat, cooling, first, wall, share, density, time)
     # Contact does not change after that.
     since = jnp.broadcast_to(time, change.shape)
-    walls = walls._replace(share=tool_contact(scene, nodes, sheet.triangles, since, time))
+    share = tool_contact(scene, nodes, sheet.triangles, since, time)
     still = (state.status == 0) & is_at_rest(state, scene) & last
     end = jnp.where(still, jnp.maximum(scene.solver.end_time, time), time)
-    change = temperature_change(ThermalState(change, since, change), cooling, walls, end)
+    change = temperature_change(ThermalState(change, since, change), cooling, first, wall, share, density, end)
     shares = jnp.stack([sheet.area, jnp.where(used, sheet.area * change, 0.0)])
     area, total = (membrane.sum_to_nodes(row, sheet.triangles, now.mass.size) for row in shares)
     return total / jnp.where(area > 0.0, area, 1.0)

@@ -119,37 +119,30 @@ def skip_if_full[T](
     return take(now) if scene.refinement is None else only_if(status == 0, take, now)
 
 
-class _Programs(NamedTuple):
-    """Compiled programs for a scene's sizes: they begin a run and take windows; a pending one makes its result."""
+def _request_programs(scene: Scene, store: Store) -> tuple[PendingProgram, PendingProgram, PendingProgram]:
+    """The programs that begin a run, take windows and make its result, which are compiled concurrently.
 
-    begin: Callable[[Scene], tuple[State, Discretization, Taken]]
-    advance: Callable[..., tuple[State, Taken, jax.Array]]
-    result: PendingProgram
-
-
-class _PendingPrograms(NamedTuple):
-    """The programs of a run, being compiled concurrently."""
-
-    begin: PendingProgram
-    advance: PendingProgram
-    result: PendingProgram
-
-
-def _request_programs(scene: Scene, store: Store) -> _PendingPrograms:
-    """The longest is begun as soon as its arguments' shapes are known."""
+    The longest is begun as soon as its arguments' shapes are known.
+    """
     beginning = store.start_program(begin, scene)
     state, first, taken = beginning.shapes
-    return _PendingPrograms(
+    return (
         beginning,
         store.start_program(advance, state, scene, first, taken, np.int32(1)),
         store.start_program(result_of, state, scene, first, taken, np.bool_(True)),
     )
 
 
-def programs(scene: Scene, store: Store) -> _Programs:
-    """The programs of a run, once those that it begins with are compiled."""
-    asked = _request_programs(scene, store)
-    return _Programs(asked.begin.ready(), asked.advance.ready(), asked.result)
+def programs(
+    scene: Scene, store: Store
+) -> tuple[
+    Callable[[Scene], tuple[State, Discretization, Taken]],
+    Callable[..., tuple[State, Taken, jax.Array]],
+    PendingProgram,
+]:
+    """The compiled programs that begin a run and take windows, and the pending one that makes its result."""
+    beginning, advancing, ending = _request_programs(scene, store)
+    return beginning.ready(), advancing.ready(), ending
 
 
 def select_bucket(scene: Scene, store: Store) -> Padded:

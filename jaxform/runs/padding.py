@@ -164,10 +164,10 @@ def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Pa
     """
     if scene.tables.counts is not None:
         return Padded(scene, scene, None)
-    room = cache_by_identity(_pad_tables, scene.tables, len(scene.parison.triangles), scene.refinement, least, recorded)
-    order, elements = room.order, room.order.elements
+    count, limits = len(scene.parison.triangles), scene.refinement
+    tables, refinement, order = cache_by_identity(_pad_tables, scene.tables, count, limits, least, recorded)
     own = {
-        "parison": pad_parison(scene.parison, elements, order),
+        "parison": pad_parison(scene.parison, order.elements, order),
         "material": pad_material(scene.material, order),
         "pressure": pad_pressure(scene.pressure),
         "solver": dataclasses.replace(scene.solver, quasi_static=False, max_steps=MOST_STEPS),
@@ -177,8 +177,8 @@ def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Pa
     whole = Scene(
         mold=None if scene.mold is None else cache_by_identity(_mold, scene.mold),
         tools=tuple(cache_by_identity(_mold, tool) for tool in scene.tools),
-        refinement=room.refinement,
-        tables=room.tables,
+        refinement=refinement,
+        tables=tables,
         name="",
         **jax.device_put(own),
     )
@@ -193,18 +193,14 @@ def _grid(grid: SearchGrid) -> SearchGrid:
     return jax.device_put(pad_grid(grid))
 
 
-class _PaddedTables(NamedTuple):
-    """Padded tables, their limits of refinement, and the places of a scene's nodes and triangles in them."""
-
-    tables: Precomputed
-    refinement: Refinement | None
-    order: Order
-
-
 def _pad_tables(
     tables: Precomputed, count: int, refinement: Refinement | None, least: int, recorded: bool
-) -> _PaddedTables:
-    """Padded tables of a scene with so many elements; the other arguments are those of `pad_to_bucket`."""
+) -> tuple[Precomputed, Refinement | None, Order]:
+    """Padded tables of a scene with so many elements; the other arguments are those of `pad_to_bucket`.
+
+    Returns:
+        The tables, their limits of refinement, and the places of the scene's nodes and triangles in them.
+    """
     forest, nodes = tables.forest, tables.mobility.shape[1]
     pair_count = None
     if forest is None:
@@ -251,4 +247,4 @@ def _pad_tables(
         neighbors=tuple(jax.device_put(pad_neighbors(each)) for each in tables.neighbors),
     )
     made, refinement = jax.device_put((made, refinement))
-    return _PaddedTables(made, refinement, order)
+    return made, refinement, order

@@ -7,7 +7,7 @@ over again.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from jaxform.mechanics.nodes import FieldRule
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Counts, ReferenceGeometry
 from jaxform.sheet.discretization import Discretization, RefinedMesh, element_law
-from jaxform.sheet.energy_balance import ElementTotals, element_energy, enclosed_volume
+from jaxform.sheet.energy_balance import element_energy, enclosed_volume
 from jaxform.sheet.heat import ThermalState
 from jaxform.sheet.packing import Packed, pack
 from jaxform.sheet.state import PackedState, State, can_move, immobile_nodes
@@ -107,13 +107,6 @@ class Workspace:
     lists: tuple[CandidateLists, ...] | None
 
 
-class InitialProperties(NamedTuple):
-    """Initial properties of a cooling sheet: temperature (room,) [degC], and zones without time-temperature shift."""
-
-    temperature: jax.Array
-    zones: dict[str, jax.Array]
-
-
 @pytree
 class ActiveSet:
     """The elements and nodes that are active, and what the others come to, which do not move.
@@ -133,7 +126,8 @@ class ActiveSet:
         idle: Elements that are not active and have such modes; None where none are.
         room: Kept from the last window; None where each window has its own.
         heat: How far all elements had cooled when they were packed, as in `State`; None where they do not.
-        begun: What its elements were like at first; None where they do not cool.
+        initial: Of its elements the initial temperature (room,) [degC], and the zones without time-temperature shift;
+            None where they do not cool.
     """
 
     packed: Packed
@@ -150,7 +144,7 @@ class ActiveSet:
     idle: InactiveElements | None = None
     workspace: Workspace | None = None
     heat: ThermalState | None = None
-    initial: InitialProperties | None = None
+    initial: tuple[jax.Array, dict[str, jax.Array]] | None = None
 
     def volume(self, positions: jax.Array) -> jax.Array:
         """Volume [m^3] that the sheet encloses, with what is active at positions (3, place) [m]; differentiable."""
@@ -276,12 +270,13 @@ def _inactive_totals(
     positions = state.nodes.positions
     if not scene.packs_moving:
         return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
-    held = totals_of(state, scene, discrete, ~packed.kept[discrete.whole.element])
-    return held.energy, held.volume
+    return totals_of(state, scene, discrete, ~packed.kept[discrete.whole.element])
 
 
-def totals_of(state: State, scene: Scene, discrete: Discretization, counted: jax.Array | None = None) -> ElementTotals:
-    """Energy and volume of the counted elements (room,), in the order of the whole set; not differentiable."""
+def totals_of(
+    state: State, scene: Scene, discrete: Discretization, counted: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array]:
+    """Energy [J] and volume [m^3] of the counted elements (room,), in the whole set's order; not differentiable."""
     whole, memory = discrete.whole, state.memory
     own = discrete.with_zones(state.heat, scene.material).of_elements(whole.element)
     rows = None if memory is None else memory[:, whole.element]
@@ -333,7 +328,7 @@ def _add_cooling(active: ActiveSet, state: State, discrete: Discretization) -> A
         return active
     element = active.packed.element
     zones = {name: own[..., element] for name, own in discrete.zones.items()}
-    return dataclasses.replace(active, heat=state.heat, initial=InitialProperties(discrete.temperature[element], zones))
+    return dataclasses.replace(active, heat=state.heat, initial=(discrete.temperature[element], zones))
 
 
 def _add_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:

@@ -17,9 +17,9 @@ from jaxform.materials import Law
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import masked_metrics
 from jaxform.model.scene import Scene
-from jaxform.sheet.active_set import ActiveSet, InitialProperties
+from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.energy_balance import stored_energy
-from jaxform.sheet.heat import ThermalElements, ThermalState, at_temperature, temperature_change, tool_contact
+from jaxform.sheet.heat import ThermalState, at_temperature, temperature_change, tool_contact
 from jaxform.sheet.state import PackedState, can_move
 
 
@@ -38,27 +38,26 @@ def cool_state(
     numbers = (active.zones, active.modes) if law.shift is not None else None
     memory = state.memory if scene.stiffens else None
 
-    def work(own: Any, before: ThermalState, begun: InitialProperties, numbers: Any, memory: jax.Array | None) -> Any:
-        triangles, inverse, area, thickness = own
+    def work(own: Any, before: ThermalState, begun: Any, numbers: Any, memory: jax.Array | None) -> Any:
+        (triangles, inverse, area, thickness), (first, first_zones) = own, begun
         _, *edges = membrane.edges(positions, triangles)
         there = can_move(nodes.stuck, triangles, area)
         determinant = membrane.invariants(*masked_metrics(there, membrane.metric(*edges), inverse)).determinant
         share, now = tool_contact(scene, nodes, triangles, before.time, time), jnp.broadcast_to(time, there.shape)
-        density = begun.zones.get("density", law.density)
-        walls = ThermalElements(begun.temperature, thickness / jnp.sqrt(determinant), share, density)
-        change = temperature_change(before, cooling, walls, time)
-        walls = walls._replace(share=tool_contact(scene, nodes, triangles, now, time))
+        density, wall = first_zones.get("density", law.density), thickness / jnp.sqrt(determinant)
+        change = temperature_change(before, cooling, first, wall, share, density, time)
+        share = tool_contact(scene, nodes, triangles, now, time)
         # As if the window were as long as the last one. One that is retried begins as it did.
         middle = time + 0.5 * jnp.minimum(time - before.time, longest)
-        felt = temperature_change(ThermalState(change, now, change), cooling, walls, middle)
+        felt = temperature_change(ThermalState(change, now, change), cooling, first, wall, share, density, middle)
         due = there & (time > before.time)
         after = jax.tree.map(lambda new, old: jnp.where(due, new, old), ThermalState(change, now, felt), before)
         rows = [[after.change], [after.time], [after.felt]]
-        sums, pace = [], jnp.where(there, jnp.abs(cooling.pace(begun.temperature + change, *walls[1:])), 0.0)
+        sums, pace = [], jnp.where(there, jnp.abs(cooling.pace(first + change, wall, share, density)), 0.0)
         if numbers is not None:
-            rows += _rows(at_temperature(law, begun.zones, begun.temperature + after.felt))
+            rows += _rows(at_temperature(law, first_zones, first + after.felt))
         if numbers is not None and scene.stiffens:
-            ratio = _stiffness_factor(law, begun.temperature, before, after)
+            ratio = _stiffness_factor(law, first, before, after)
             # Velocities are half a step behind the positions, and with the next step the new stress acts from there on.
             half = 0.5 * state.control.step_length
             _, *rates = membrane.edges(velocities, triangles)

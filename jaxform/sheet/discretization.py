@@ -121,7 +121,7 @@ class Discretization:
     def forest_properties(self) -> ForestProperties:
         """The properties of the forest's triangles, for a sheet that is refined."""
         assert self.volumes is not None
-        return ForestProperties(self.volumes, self.forest_zones, self.forest_temperature)
+        return self.volumes, self.forest_zones, self.forest_temperature
 
     def of_elements(self, element: jax.Array) -> ElementProperties:
         """The properties of the elements with these numbers (n,)."""
@@ -136,8 +136,8 @@ def discretize(scene: Scene) -> Discretization:
         forest = scene.adaptivity.forest
         volumes, mesh = _volumes(scene, forest), first_mesh(scene, scene.adaptivity)
         nodal = scene.material.zones, _nodal_temperature(scene)
-        means = jax.tree.map(lambda own: _forest_mean(own, forest, volumes), nodal)
-        return refined_discretization(scene, forest, mesh, ForestProperties(volumes, *means))
+        zones, temperature = jax.tree.map(lambda own: _forest_mean(own, forest, volumes), nodal)
+        return refined_discretization(scene, forest, mesh, (volumes, zones, temperature))
     sheet = tables.sheet
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
     zones = {name: membrane.element_mean(own, sheet.triangles) for name, own in scene.material.zones.items()}
@@ -164,12 +164,8 @@ def present_discretization(
     return refined_discretization(scene, forest, mesh, first.forest_properties, stepped=stepped)
 
 
-class ForestProperties(NamedTuple):
-    """Properties of each forest triangle: volume [m^3], varying material parameters, and temperature."""
-
-    volumes: jax.Array
-    zones: dict[str, jax.Array]
-    temperature: jax.Array | None
+ForestProperties = tuple[jax.Array, dict[str, jax.Array], jax.Array | None]
+"""Properties of each forest triangle: volume [m^3], varying material parameters, and temperature [degC]."""
 
 
 def _nodal_temperature(scene: Scene) -> jax.Array | None:
@@ -263,7 +259,7 @@ def refined_discretization(
     scene: Scene,
     forest: BisectionHierarchy,
     mesh: RefinedMesh,
-    wood: ForestProperties,
+    properties: ForestProperties,
     *,
     stepped: bool = False,
 ) -> Discretization:
@@ -277,9 +273,10 @@ def refined_discretization(
         area=jnp.where(used, forest.sheet.area[element], 0.0),
         origin=forest.sheet.origin,
     )
-    volume = wood.volumes[element]
-    zones = {name: own[..., element] for name, own in wood.zones.items()}
-    warmth = None if wood.temperature is None else wood.temperature[element]
+    volumes, forest_zones, temperature = properties
+    volume = volumes[element]
+    zones = {name: own[..., element] for name, own in forest_zones.items()}
+    warmth = None if temperature is None else temperature[element]
     zones, modes, warmth = _initial_properties(scene, zones, warmth)
     density = zones.get("density", scene.material.density)
     share = jnp.where(used, forest.mass_scale[element] * density * volume / 3.0, 0.0)
@@ -296,9 +293,9 @@ def refined_discretization(
         mass=heavy,
         compliance=jnp.where(exists[None], forest.mobility[:, mesh.node] / heavy[None], 0.0),
         whole=pack(None, sheet, assembly, counts, stepped=stepped or not scene.packs_moving),
-        volumes=wood.volumes,
-        forest_zones=wood.zones,
-        forest_temperature=wood.temperature,
+        volumes=volumes,
+        forest_zones=forest_zones,
+        forest_temperature=temperature,
         modes=modes,
         temperature=warmth,
     )

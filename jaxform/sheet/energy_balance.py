@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -42,13 +42,6 @@ def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.A
     return energy + jnp.sum(jnp.where(elements.area > 0.0, volume * found, 0.0))
 
 
-class ElementTotals(NamedTuple):
-    """Element totals: strain energy [J], including that of viscous modes, and enclosed volume [m^3]."""
-
-    energy: jax.Array
-    volume: jax.Array
-
-
 def element_energy(
     positions: jax.Array,
     elements: Elements,
@@ -56,8 +49,8 @@ def element_energy(
     material: Law,
     memory: jax.Array | None,
     counted: jax.Array | None = None,
-) -> ElementTotals:
-    """Strain energy and enclosed volume of the elements, in one pass; not differentiable.
+) -> tuple[jax.Array, jax.Array]:
+    """Strain energy [J], with that of viscous modes, and enclosed volume [m^3] of the elements; not differentiable.
 
     Args:
         positions: (3, place) [m].
@@ -86,7 +79,7 @@ def element_energy(
     own = elements.triangles, elements.inverse_metric, elements.area
     inputs = own, thickness, (material.zones, memory, varying), counted, elements.orientation
     _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
-    return ElementTotals(energy, volume / 6.0)
+    return energy, volume / 6.0
 
 
 def stored_energy(

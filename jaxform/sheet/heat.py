@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 
 from jaxform.core.pytree import as_real, pytree
-from jaxform.materials import Cooling, Law, Modes, ToolContact, Touching
+from jaxform.materials import Cooling, Law, Modes, Touching
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
@@ -63,7 +61,7 @@ def tool_contact(scene: Scene, nodes: Nodes, triangles: jax.Array, begin: jax.Ar
     if warmth is None:
         return _contact_share(nodes, triangles, begin, end, None)
     shares = (_contact_share(nodes, triangles, begin, end, number) for number in range(len(warmth)))
-    return [ToolContact(share, *own) for share, own in zip(shares, warmth, strict=True)]
+    return [(share, *own) for share, own in zip(shares, warmth, strict=True)]
 
 
 def _contact_share(
@@ -81,19 +79,24 @@ def _contact_share(
     return share / 3.0
 
 
-class ThermalElements(NamedTuple):
-    """Cooling elements (n,): initial temperature [degC], thickness [m], contact with tools, density.
+def temperature_change(
+    heat: ThermalState,
+    cooling: Cooling,
+    first: jax.Array,
+    wall: jax.Array,
+    share: Touching,
+    density: jax.Array,
+    time: jax.Array,
+) -> jax.Array:
+    """The change of the temperature (n,) [K] since the run began, at a later time [s].
 
-    The density [kg/m^3] is a number or (n,).
+    Args:
+        heat: The thermal state of the elements (n,).
+        cooling: The cooling of the scene.
+        first: Their initial temperature (n,) [degC].
+        wall: Their thickness (n,) [m].
+        share: Their contact with tools.
+        density: [kg/m^3], a number or (n,).
+        time: The later time [s], a number or (n,).
     """
-
-    temperature: jax.Array
-    thickness: jax.Array
-    share: Touching
-    density: jax.Array
-
-
-def temperature_change(heat: ThermalState, cooling: Cooling, walls: ThermalElements, time: jax.Array) -> jax.Array:
-    """The change of the temperature (n,) [K] since the run began, at a later time [s]."""
-    first, wall, share, density = walls
     return cooling.cooled(first + heat.change, wall, share, density, jnp.maximum(time - heat.time, 0.0)) - first

@@ -6,7 +6,7 @@ Velocities are half a step behind the positions.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +26,8 @@ from jaxform.sheet.energy_balance import enclosed_volume, last_work, present_pre
 from jaxform.sheet.state import PackedState, State
 from jaxform.tools.motion import tool_velocity
 
-
-class WindowTiming(NamedTuple):
-    """A window's begin, the step before it and its own [s]."""
-
-    begin: jax.Array
-    before: jax.Array
-    length: jax.Array
+WindowTiming = tuple[jax.Array, jax.Array, jax.Array]
+"""A window's begin, the length of the step before it, and that of its own steps [s]."""
 
 
 def pressures(pressure: Loading, timing: WindowTiming, count: int) -> tuple[jax.Array, jax.Array]:
@@ -40,19 +35,20 @@ def pressures(pressure: Loading, timing: WindowTiming, count: int) -> tuple[jax.
 
     Zeros where the pressure follows the volume, so that each step has to find it.
     """
+    begin, before, length = timing
     if pressure.follows_volume:
-        none = jnp.zeros(count, timing.begin.dtype)
+        none = jnp.zeros(count, begin.dtype)
         return none, none
     # The step before the window's first has a length of its own.
-    times = timing.begin + jnp.arange(count) * timing.length
-    found = pressure.at(jnp.append(timing.begin - timing.before, times), None)
+    times = begin + jnp.arange(count) * length
+    found = pressure.at(jnp.append(begin - before, times), None)
     return found[1:], 0.5 * (found[:-1] + found[1:])
 
 
 def velocity_steps(timing: WindowTiming, count: int) -> jax.Array:
     """The step that the velocity takes in each of the `count` steps of a window [s]."""
-    first = 0.5 * (timing.before + timing.length)
-    return jnp.where(jnp.arange(count) == 0, first, timing.length)
+    _, before, length = timing
+    return jnp.where(jnp.arange(count) == 0, 0.5 * (before + length), length)
 
 
 def add_gravity(nodal: Any, mass: jax.Array, gravity: jax.Array | None) -> Any:

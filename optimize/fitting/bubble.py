@@ -64,9 +64,10 @@ def inflate_bubble(law: Law, plan: states.Path, scale: float, viscous: bool) -> 
         return (found, past), (scale * made[-1], 1.0 / (radial * hoop)[0])
 
     past: Overstress | None = None if modes is None else initial_overstress(modes, _POINTS)
-    first = jnp.zeros(2 * _TERMS + 1).at[_TERMS].set(plan.value[0]).at[-1].set(4.0 * plan.value[0])
-    _, (pressure, wall) = jax.lax.scan(step, (first, past), (jnp.asarray(plan.value), jnp.asarray(plan.step)))
-    return pressure[plan.row], wall[plan.row]
+    heights, lengths, rows = plan
+    first = jnp.zeros(2 * _TERMS + 1).at[_TERMS].set(heights[0]).at[-1].set(4.0 * heights[0])
+    _, (pressure, wall) = jax.lax.scan(step, (first, past), (jnp.asarray(heights), jnp.asarray(lengths)))
+    return pressure[rows], wall[rows]
 
 
 def _equilibrium(

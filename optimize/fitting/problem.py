@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -92,20 +92,16 @@ def _data(table: Table) -> tuple[Any, ...]:
     return (bubble.plan(table.height / table.radius, table.time),)
 
 
-class _BubbleKind(NamedTuple):
-    """Bubble data that a program is compiled for: lengths [m], largest pressure [Pa], whether walls are measured."""
-
-    sheet: float
-    radius: float
-    pressure: float
-    walled: bool
+_BubbleKind = tuple[float, float, float, bool]
+"""What of a bubble a program is compiled for: its sheet's thickness and radius [m], its largest pressure [Pa], and
+whether walls are measured."""
 
 
 def _kind(table: Table) -> str | _BubbleKind:
     """The state of a pull, or the properties of a bubble: with its data, all that the model's values depend on."""
     if isinstance(table, Pull):
         return table.state
-    return _BubbleKind(table.sheet, table.radius, float(table.pressure.max()), table.thickness is not None)
+    return table.sheet, table.radius, float(table.pressure.max()), table.thickness is not None
 
 
 def _model_values(law: Law, kind: str | _BubbleKind, data: tuple[Any, ...]) -> jax.Array:
@@ -113,10 +109,11 @@ def _model_values(law: Law, kind: str | _BubbleKind, data: tuple[Any, ...]) -> j
     if isinstance(kind, str):
         stretch, pulled = data
         return states.nominal_stress(law, kind, jnp.asarray(stretch), pulled)
-    over = kind.sheet / kind.radius
+    sheet, radius, largest, walled = kind
+    over = sheet / radius
     (plan,) = data
-    pressure, wall = bubble.inflate_bubble(law, plan, kind.pressure / over, law.viscous is not None)
-    return jnp.concatenate([over * pressure, kind.sheet * wall] if kind.walled else [over * pressure])
+    pressure, wall = bubble.inflate_bubble(law, plan, largest / over, law.viscous is not None)
+    return jnp.concatenate([over * pressure, sheet * wall] if walled else [over * pressure])
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,18 +30,12 @@ def crosswise(state: str, stretch: jax.Array) -> jax.Array:
     return jnp.ones_like(stretch) if state == "pure-shear" else 1.0 / jnp.sqrt(stretch)
 
 
-class Path(NamedTuple):
-    """Path of a test from row to row, in steps.
+Path = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
+"""The way of a test from row to row, in steps.
 
-    Attributes:
-        value: Stretch or height reached (n_step,).
-        step: Time since the one before (n_step,) [s].
-        row: Indices of the steps that are rows of the table (n,).
-    """
-
-    value: NDArray[np.float64]
-    step: NDArray[np.float64]
-    row: NDArray[np.int64]
+The stretch or height reached (n_step,), the time since the step before (n_step,) [s], and the indices of the steps that
+are rows of the table (n,).
+"""
 
 
 def split_path(values: NDArray[np.float64], times: NDArray[np.float64], first: float, longest: float) -> Path:
@@ -55,7 +47,7 @@ def split_path(values: NDArray[np.float64], times: NDArray[np.float64], first: f
         found += list(low + (high - low) * np.arange(1, count + 1) / count)
         steps += [(late - early) / count] * count
         rows.append(len(found) - 1)
-    return Path(np.array(found), np.array(steps), np.array(rows))
+    return np.array(found), np.array(steps), np.array(rows)
 
 
 def history(stretch: NDArray[np.float64], time: NDArray[np.float64]) -> Path:
@@ -63,8 +55,8 @@ def history(stretch: NDArray[np.float64], time: NDArray[np.float64]) -> Path:
 
     Its steps are so small that the recursions of the Prony terms are accurate to a few parts in ten thousand.
     """
-    after = split_path(stretch, time, float(stretch[0]), _SMALL)
-    return Path(np.append(stretch[:1], after.value), np.append(0.0, after.step), after.row + 1)
+    values, steps, rows = split_path(stretch, time, float(stretch[0]), _SMALL)
+    return np.append(stretch[:1], values), np.append(0.0, steps), rows + 1
 
 
 def nominal_stress(law: Law, state: str, stretch: jax.Array, pulled: Path | None = None) -> jax.Array:
@@ -79,7 +71,8 @@ def nominal_stress(law: Law, state: str, stretch: jax.Array, pulled: Path | None
     modes = law.viscous
     if modes is None or pulled is None:
         return principal_nominal_stress(law, stretch, crosswise(state, stretch))[0]
-    whole, steps = jnp.asarray(pulled.value), jnp.asarray(pulled.step)
+    values, lengths, rows = pulled
+    whole, steps = jnp.asarray(values), jnp.asarray(lengths)
     one, two = whole[:, None], crosswise(state, whole)[:, None]
 
     def row(past: Overstress, now: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[Overstress, jax.Array]:
@@ -87,4 +80,4 @@ def nominal_stress(law: Law, state: str, stretch: jax.Array, pulled: Path | None
         memory = advance_memory(modes, past, step)
         return principal_overstress(memory, one, two), principal_nominal_stress(law, one, two, memory)[0][0]
 
-    return jax.lax.scan(row, initial_overstress(modes, 1), (one, two, steps))[1][jnp.asarray(pulled.row)]
+    return jax.lax.scan(row, initial_overstress(modes, 1), (one, two, steps))[1][jnp.asarray(rows)]

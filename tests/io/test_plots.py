@@ -179,17 +179,17 @@ def test_of_a_part_the_diagram_draws_what_is_in_it_and_the_rest_faintly(name: st
     changes = {"positions": jnp.asarray(formed), "thickness": jnp.asarray(wall)}
     result = dataclasses.replace(result, **changes)
     picture = plots.part_picture(dataclasses.replace(scene, part=jaxform.make_part(trim=("z", 1e-9, "below"))), result)
-    faint, drawn = picture.lines[:2]
-    assert faint.style["label"] == "cut off the part" and faint.style["color"] != drawn.style["color"]
-    shown = np.isfinite(drawn.up)
-    np.testing.assert_array_equal(faint.across, drawn.across)
+    (across, faint, faint_style), (drawn_across, drawn, drawn_style) = picture.lines[:2]
+    assert faint_style["label"] == "cut off the part" and faint_style["color"] != drawn_style["color"]
+    shown = np.isfinite(drawn)
+    np.testing.assert_array_equal(across, drawn_across)
     # Nodes of the part's elements lie at most an element beyond the plane.
-    np.testing.assert_array_equal(drawn.up[shown], faint.up[shown])
-    middle = np.median(faint.across) if name == "rectangle" else 0.0
-    reach = np.abs(faint.across - middle)
+    np.testing.assert_array_equal(drawn[shown], faint[shown])
+    middle = np.median(across) if name == "rectangle" else 0.0
+    reach = np.abs(across - middle)
     assert shown[reach < 400].all() and not shown[reach > 800].any() and 0.2 < shown.mean() < 0.9
     whole = plots.part_picture(scene, result).lines
-    assert np.isfinite(whole[0].up).all() and all(line.style["label"] != "cut off the part" for line in whole)
+    assert np.isfinite(whole[0][1]).all() and all(style["label"] != "cut off the part" for _, _, style in whole)
 
 
 def test_covers_of_holes_hardly_show_before_a_run(tmp_path: Path) -> None:

@@ -434,7 +434,7 @@ def test_tools_are_where_they_were_at_each_frame(folder: Path, tmp_path: Path) -
     moving = '[[tool]]\nname = "plug"\ndirection = [0, 0, 2]\ntime = [0.0, 1e-3]\ndisplacement = [0.0, 0.05]\n'
     tables = stored_results._tables(moving + '[[tool]]\nshape = "plate"\n[[tool]]\nname = "no-file"\n')
     tools = stored_results._tools(tmp_path, tables["tool"])
-    assert [(tool.name, tool.motion is not None) for tool in tools] == [("plug", True), ("tool2", False)]
+    assert [(name, motion is not None) for name, _, motion in tools] == [("plug", True), ("tool2", False)]
     facts = contents.pack_parts(dataclasses.replace(results, tools=tools), contents.Parcel())
     assert facts["tools"] == [{"name": name, "mirrored": False, "rough": False} for name in ("plug", "tool2")]
     for part in facts["parts"]:
