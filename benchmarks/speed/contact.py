@@ -98,7 +98,7 @@ def walk(
     begin, end = (jnp.pad(place, ((0, 0), (0, -count % BLOCK))) for place in (begin, end))
     stuck, way, once = jnp.arange(begin.shape[1]) >= count, end - begin, jnp.asarray(1.0)
     window = candidates.list_candidates(begin, way, ~stuck, once / 16, jnp.int32(16), grid)
-    due = broad_phase.find_active_pairs(end, stuck, stuck, window, jnp.int32(stuck.size // BLOCK)).due
+    due = broad_phase.find_active_pairs(end, stuck, stuck, window, jnp.int32(stuck.size // BLOCK))[0]
     none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
     nodes = Nodes(membrane.unstack_rows(end), way, stuck, -mass, none, None, {})
     flying = sticking.Landing(nodes, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))

@@ -272,11 +272,11 @@ def _interpolate_nodes(
         lambda first, second: weight[None] * first + (1.0 - weight)[None] * second,
         forest.depth,
     )
-    start = initial_node_state(scene, births.node)
-    moves, speeds = jnp.where(start.stuck, 0.0, middle), jnp.where(start.stuck, 0.0, velocities)
+    stuck, contact_time, wall, tool = initial_node_state(scene, births.node)
+    moves, speeds = jnp.where(stuck, 0.0, middle), jnp.where(stuck, 0.0, velocities)
     if frame is not None:
         # In the frame of the tool the clamped nodes move.
-        clamped = start.stuck & (start.wall == 0)
+        clamped = stuck & (wall == 0)
         moves = jnp.where(clamped, -frame.offset[:, None], moves)
         speeds = jnp.where(clamped, -frame.velocity[:, None], speeds)
     fields = {
@@ -289,11 +289,11 @@ def _interpolate_nodes(
         nodes,
         positions=births.put(nodes.positions, reference[births.node].T + moves),
         velocities=births.put(nodes.velocities, speeds),
-        stuck=births.put(nodes.stuck, start.stuck),
+        stuck=births.put(nodes.stuck, stuck),
         # What slides may have left since the tool that it touched at the start.
-        contact_time=births.put(nodes.contact_time, jnp.where(start.stuck, start.contact_time, -1.0)),
-        wall=births.put(nodes.wall, jnp.where(start.stuck, start.wall, 0)),
-        tool=None if nodes.tool is None or start.tool is None else births.put(nodes.tool, start.tool),
+        contact_time=births.put(nodes.contact_time, jnp.where(stuck, contact_time, -1.0)),
+        wall=births.put(nodes.wall, jnp.where(stuck, wall, 0)),
+        tool=None if nodes.tool is None or tool is None else births.put(nodes.tool, tool),
         fields=fields,
     )
 
@@ -337,19 +337,18 @@ def _place_on_surface(
     if nodes.tool is not None or not mold.contact.sticks:
         free &= births.block_of(nodes.wall) == 0
     closest, distance = save_decision(nearest_triangle(places, free, grid))
-    begin, seen = save_decision(
+    begin, (crossed, last, side) = save_decision(
         _paths_from_sheet(places, free, nodes, touching, [older(end) for end in births.ends], surface)
     )
     touches = free & (distance <= search.touch_distance(grid))
-    beyond = free & ~touches & (seen.count % 2 == 1)
+    beyond = free & ~touches & (crossed % 2 == 1)
     ends = [nodes.stuck[at] | (touching[at] != 0) for at in births.ends]
     held = births.join_ends(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
     lands = births.new & held & ~stuck
     # The nearest triangle, and the one that the way from the sheet crosses last, in one go.
-    last = seen.triangle
     both, known = jnp.append(closest, last), jnp.append(free & (closest >= 0), free & (last >= 0))
     nearest, front = jnp.split(closest_place(jnp.tile(points, 2), mold, jnp.maximum(both, 0), known), 2, axis=1)
-    turned = beyond & _is_behind(nearest - places, closest, seen, mold)
+    turned = beyond & _is_behind(nearest - places, closest, last, side, mold)
     chosen = jnp.where(turned, jnp.maximum(last, 0), closest)
     triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
     point = jnp.where(turned, front, nearest)
@@ -410,14 +409,15 @@ def _paths_from_sheet(
     return begin, ray_crossings(begin, points, free & (jnp.square(bound) <= dot(way, way)), grid)
 
 
-def _is_behind(gap: jax.Array, nearest: jax.Array, seen: Crossings, mold: Mold) -> jax.Array:
+def _is_behind(gap: jax.Array, nearest: jax.Array, last: jax.Array, side: jax.Array, mold: Mold) -> jax.Array:
     """True where the triangle nearest to points (n,) beyond the mold, a gap (3, n) [m] away, is a thin part's back.
 
-    Also where no nearest triangle is known. The front is the triangle that the path from the sheet crosses last.
+    Also where no nearest triangle is known. The front is the triangle that the path from the sheet crosses last, and
+    `side` that from which it does, as in `Crossings`.
     """
     gap = jax.lax.stop_gradient(gap)
-    front = jax.lax.stop_gradient(_normal(mold, jnp.maximum(seen.triangle, 0)))
-    return (nearest < 0) | (seen.side * dot(gap, front) < -_BACKWARD * jnp.sqrt(dot(gap, gap)))
+    front = jax.lax.stop_gradient(_normal(mold, jnp.maximum(last, 0)))
+    return (nearest < 0) | (side * dot(gap, front) < -_BACKWARD * jnp.sqrt(dot(gap, gap)))
 
 
 def _normal(mold: Mold, triangle: jax.Array) -> jax.Array:

@@ -34,18 +34,8 @@ class BroadPhaseCheck(NamedTuple):
     missed: jax.Array
 
 
-class DueBlocks(NamedTuple):
-    """Blocks of listed pairs that are tested: their numbers (n_block,), and their count."""
-
-    block: jax.Array
-    count: jax.Array
-
-
-class ActivePairs(NamedTuple):
-    """The pairs that are tested in a step, and whether a node may soon leave its sphere."""
-
-    due: DueBlocks
-    leaving: jax.Array
+DueBlocks = tuple[jax.Array, jax.Array]
+"""Blocks of listed pairs that are tested: their numbers (n_block,), and their count."""
 
 
 def initial_check() -> BroadPhaseCheck:
@@ -53,9 +43,10 @@ def initial_check() -> BroadPhaseCheck:
     return BroadPhaseCheck(jnp.asarray(True), jnp.asarray(False))
 
 
-def no_active_pairs(candidates: Candidates) -> ActivePairs:
-    """The active pairs of a step that tests nothing."""
-    return ActivePairs(all_blocks(candidates)._replace(count=jnp.int32(0)), jnp.asarray(False))
+def no_active_pairs(candidates: Candidates) -> tuple[DueBlocks, jax.Array]:
+    """What `find_active_pairs` returns for a step that tests nothing."""
+    block, _ = all_blocks(candidates)
+    return (block, jnp.int32(0)), jnp.asarray(False)
 
 
 def check_nodes(
@@ -128,7 +119,7 @@ def may_have_missed(positions: Any, stuck: jax.Array, spheres: Any, last: BroadP
 def all_blocks(candidates: Candidates) -> DueBlocks:
     """All listed pairs."""
     blocks = candidates.lists.node.size // TEST_BLOCK
-    return DueBlocks(jnp.arange(blocks, dtype=jnp.int32), -(-candidates.count // TEST_BLOCK))
+    return jnp.arange(blocks, dtype=jnp.int32), -(-candidates.count // TEST_BLOCK)
 
 
 def find_active_pairs(
@@ -138,7 +129,7 @@ def find_active_pairs(
     candidates: Candidates,
     node_block_count: jax.Array,
     frame: ToolFrame | None = None,
-) -> ActivePairs:
+) -> tuple[DueBlocks, jax.Array]:
     """The blocks with free nodes that moved far enough to touch the mold, and whether one soon leaves its sphere.
 
     Args:
@@ -161,8 +152,8 @@ def find_active_pairs(
         node = slice_at(candidates.lists.node, first, TEST_BLOCK)
         used = first + jnp.arange(TEST_BLOCK) < candidates.count
         # A block that is not due is overwritten by the next one.
-        blocks = put(due.block, block[None], due.count)
-        return DueBlocks(blocks, due.count + jnp.any(used & gather(touching[0], node)))
+        blocks, due_count = due
+        return put(blocks, block[None], due_count), due_count + jnp.any(used & gather(touching[0], node))
 
     inputs = (
         stuck,
@@ -172,8 +163,9 @@ def find_active_pairs(
     )
     into = [jnp.zeros((1, stuck.size), bool)]
     (touching,), (count, leaving) = over_blocks(work, node_block_count, inputs, into, sums=2)
-    blocks, none = jnp.where(count > 0, all_blocks(candidates).count, 0), no_active_pairs(candidates).due
-    return ActivePairs(jax.lax.fori_loop(0, blocks, add, none), leaving > 0)
+    _, listed = all_blocks(candidates)
+    none, _ = no_active_pairs(candidates)
+    return jax.lax.fori_loop(0, jnp.where(count > 0, listed, 0), add, none), leaving > 0
 
 
 def _has_moved(positions: Any, place: jax.Array, square: jax.Array) -> jax.Array:

@@ -56,13 +56,13 @@ def find_facets(
         if surface.mold.contact.sticks:
             continue
         here = (wall != 0) & on_surface(tool, number)
-        own = facets(surface.mold, jnp.where(here, jnp.abs(wall) - 1, 0), side)
-        first, second, third = own.corners
-        area = dot(own.area_vector, own.area_vector)
-        duals = cross(minus(third, first), own.area_vector), cross(own.area_vector, minus(second, first))
-        free = sum(c * n * n for c, n in zip(mobile, own.normal, strict=True))
-        within = (c * n / jnp.where(free > LEAST, free, 1.0) for c, n in zip(mobile, own.normal, strict=True))
-        rows = [*first, *own.normal, *(x / area for dual in duals for x in dual), *within]
+        corners, area_vector, normal = facets(surface.mold, jnp.where(here, jnp.abs(wall) - 1, 0), side)
+        first, second, third = corners
+        area = dot(area_vector, area_vector)
+        duals = cross(minus(third, first), area_vector), cross(area_vector, minus(second, first))
+        free = sum(c * n * n for c, n in zip(mobile, normal, strict=True))
+        within = (c * n / jnp.where(free > LEAST, free, 1.0) for c, n in zip(mobile, normal, strict=True))
+        rows = [*first, *normal, *(x / area for dual in duals for x in dual), *within]
         geometry, square = jnp.where(here, jnp.stack(rows), geometry), jnp.where(here, free, square)
     return KnownFacets(jnp.where(square > LEAST, wall, 0), tool, geometry)
 
@@ -73,18 +73,6 @@ def begin_facets(nodes: Nodes, compliance: jax.Array, surfaces: tuple[ContactSur
     return find_facets(wall, nodes.tool, mobile_components(compliance), surfaces)
 
 
-class SlidWithin(NamedTuple):
-    """The nodes (n,) after a step within their triangles: positions [m], velocities [m/s], and the losses.
-
-    It is right for the nodes that stay within theirs; the others that lie on a tool are moved by `slide_nodes`.
-    """
-
-    positions: Vector
-    velocities: Vector
-    stays: jax.Array
-    losses: ContactLosses
-
-
 def slide_within_facets(
     nodes: LyingNodes,
     known: KnownFacets,
@@ -92,7 +80,7 @@ def slide_within_facets(
     surfaces: tuple[ContactSurface, ...],
     frames: tuple[ToolFrame | None, ...],
     damping: jax.Array | None,
-) -> SlidWithin:
+) -> tuple[tuple[Vector, Vector], jax.Array, ContactLosses]:
     """Takes nodes over a step as `slide_nodes` does, where they neither leave the tool nor cross an edge.
 
     Args:
@@ -102,6 +90,10 @@ def slide_within_facets(
         surfaces: The surfaces, in the order of `Scene.surfaces`.
         frames: Their frames in the step; None of those at rest.
         damping: Mass-proportional damping [1/s].
+
+    Returns:
+        Positions [m] and velocities [m/s] after the step, three times (n,); which nodes stay within their triangles,
+        for which alone these are right: the others that lie on a tool are moved by `slide_nodes`; and the losses.
     """
     kick, length = steps
     first, normal, second, third, within = known.vectors()
@@ -118,7 +110,7 @@ def slide_within_facets(
     stays = materialize(nodes.lies & known.holds(nodes.wall, nodes.tool) & inside & (outward <= 0.0))
     place = vector(x - height * q for x, q in zip(end, within, strict=True))
     moves = _moving(nodes.tool, surfaces, frames)
-    return SlidWithin(place, on_tool, stays, _losses(nodes, on_tool, normal, carrier, kick, damping, moves))
+    return (place, on_tool), stays, _losses(nodes, on_tool, normal, carrier, kick, damping, moves)
 
 
 def _losses(

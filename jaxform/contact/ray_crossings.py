@@ -6,8 +6,6 @@ times. Nothing else is required of the mold: it may be open, in pieces, and its 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 
@@ -20,23 +18,12 @@ _LANES = 64  # paths that are searched together
 _APART = 16  # times the distance at which a node touches: crossings that are nearer to each other are one
 
 
-class Crossings(NamedTuple):
-    """The crossings of paths with the mold.
+Crossings = tuple[jax.Array, jax.Array, jax.Array]
+"""The crossings of paths with the mold.
 
-    The number of crossings of each path (n,), the triangle that it crosses last, -1 where none, and 1 or -1 where it
-    reaches that from the side of its normal or from the other.
-    """
-
-    count: jax.Array
-    triangle: jax.Array
-    side: jax.Array
-
-
-class _SearchProgress(NamedTuple):
-    """Progress of the search along paths (lanes,): the distance searched so far [m], and the crossings found."""
-
-    way: jax.Array
-    found: Crossings
+The number of crossings of each path (n,), the triangle that it crosses last, -1 where none, and 1 or -1 where it
+reaches that from the side of its normal or from the other.
+"""
 
 
 def ray_crossings(begin: jax.Array, end: jax.Array, wanted: jax.Array, grid: SearchGrid) -> Crossings:
@@ -60,15 +47,17 @@ def ray_crossings(begin: jax.Array, end: jax.Array, wanted: jax.Array, grid: Sea
         used = first + jnp.arange(_LANES) < total
         found = _trace_ways(begin[:, lane], end[:, lane], used, grid)
         mine = jnp.where(used, lane, count)
-        new = (old.at[mine].set(value, mode="drop") for old, value in zip(all_found, found, strict=True))
-        return first + _LANES, Crossings(*new)
+        counts, triangles, sides = (
+            old.at[mine].set(value, mode="drop") for old, value in zip(all_found, found, strict=True)
+        )
+        return first + _LANES, (counts, triangles, sides)
 
     return jax.lax.while_loop(more, search_ways, (jnp.int32(0), _no_crossings(count)))[1]
 
 
 def _no_crossings(count: int) -> Crossings:
     none = jnp.zeros(count, jnp.int32)
-    return Crossings(none, none - 1, none)
+    return none, none - 1, none
 
 
 def _trace_ways(begin: jax.Array, end: jax.Array, used: jax.Array, grid: SearchGrid) -> Crossings:
@@ -79,22 +68,22 @@ def _trace_ways(begin: jax.Array, end: jax.Array, used: jax.Array, grid: SearchG
     apart = _APART * search.touch_distance(grid)
     last = length - apart
 
-    def more(look: _SearchProgress) -> jax.Array:
-        return jnp.any(used & (look.way < last))
+    def more(carry: tuple[jax.Array, Crossings]) -> jax.Array:
+        return jnp.any(used & (carry[0] < last))
 
-    def step(look: _SearchProgress) -> _SearchProgress:
-        cell, bound = search.cell_bounds(begin + look.way[None] * unit, grid)
+    def step(carry: tuple[jax.Array, Crossings]) -> tuple[jax.Array, Crossings]:
+        way, (count, triangles, sides) = carry  # the distance [m] searched so far, and the crossings found
+        cell, bound = search.cell_bounds(begin + way[None] * unit, grid)
         # All that is within reach of its cell is listed there, and nothing is nearer than the bound.
-        till = jnp.minimum(look.way + jnp.maximum(bound, grid.reach), last)
-        met, triangle, side = _first_crossing(begin, unit, look.way, till, cell, grid)
+        till = jnp.minimum(way + jnp.maximum(bound, grid.reach), last)
+        met, triangle, side = _first_crossing(begin, unit, way, till, cell, grid)
         hit = used & (met < jnp.inf)
-        count, triangles, sides = look.found
-        found = Crossings(count + hit, jnp.where(hit, triangle, triangles), jnp.where(hit, side, sides))
+        found = (count + hit, jnp.where(hit, triangle, triangles), jnp.where(hit, side, sides))
         # Behind a crossing the rest is searched.
-        return _SearchProgress(jnp.where(hit, met + apart, till), found)
+        return jnp.where(hit, met + apart, till), found
 
-    start = _SearchProgress(jnp.full_like(length, apart), _no_crossings(length.size))
-    return jax.lax.while_loop(more, step, start).found
+    start = jnp.full_like(length, apart), _no_crossings(length.size)
+    return jax.lax.while_loop(more, step, start)[1]
 
 
 def _first_crossing(

@@ -140,7 +140,7 @@ def _slide_on(
         (0.0 * c if frame is None else frame.offset[k] - length * c) for k, c in enumerate(carrier)
     )  # when the step begins
     triangle, side = jnp.where(here, jnp.abs(nodes.wall) - 1, 0), jnp.where(nodes.wall < 0, -1, 1)
-    normal = facets(surface.mold, triangle, side).normal
+    _, _, normal = facets(surface.mold, triangle, side)
     trial = minus(nodes.free, carrier)
     outward = dot(trial, normal)
     leaves = outward > 0.0
@@ -154,9 +154,9 @@ def _slide_on(
     left = jnp.where(here & ~leaves, length, 0.0)
     start = Glide.start(minus(nodes.positions, offset), slip, triangle, side, left)
     end = move_along(surface, start, pressed, nodes.mobile, differentiable=differentiable)
-    last = facets(surface.mold, end.triangle, end.side)
-    height = dot(minus(end.position, last.corners[0]), last.normal)
-    place = minus(end.position, _within_planes(height, last.normal, nodes.mobile))
+    (last_corner, *_), _, last_normal = facets(surface.mold, end.triangle, end.side)
+    height = dot(minus(end.position, last_corner), last_normal)
+    place = minus(end.position, _within_planes(height, last_normal, nodes.mobile))
     # What leaves begins a little off the surface: there it is on one side for sure.
     gap = _CLEAR * touch_distance(surface.grid)
     clear = vector(jnp.where(end.off, gap * c * n, 0.0) for c, n in zip(nodes.mobile, end.outward, strict=True))
@@ -218,15 +218,6 @@ def _losses(
     )
 
 
-class Landed(NamedTuple):
-    """Nodes (n,) that land on a surface in its frame: positions [m], velocities [m/s], `wall`, loss by mass [J/kg]."""
-
-    positions: Vector
-    velocities: Vector
-    wall: jax.Array
-    lost: jax.Array
-
-
 def land_and_slide(
     surface: ContactSurface,
     point: Vector,
@@ -236,7 +227,7 @@ def land_and_slide(
     mobile: Vector,
     *,
     differentiable: bool,
-) -> Landed:
+) -> tuple[Vector, Vector, jax.Array]:
     """Nodes (n,) that come to a point of a surface lose their speed into it, and slide on by its contact law.
 
     Args:
@@ -247,20 +238,23 @@ def land_and_slide(
         left: What is left of the step [s]; 0 for nodes that do not land.
         mobile: 1 where a component may change, else 0, three times (n,).
         differentiable: Whether loops have a fixed number of passes.
+
+    Returns:
+        Positions [m] and velocities [m/s] in the frame of the surface, three times (n,), and `wall`.
     """
     triangle, side = jnp.maximum(jnp.abs(wall) - 1, 0), jnp.where(wall < 0, -1, 1)
-    normal = facets(surface.mold, triangle, side).normal
+    _, _, normal = facets(surface.mold, triangle, side)
     slip = project_on_plane(velocities, normal, mobile)
     push = jnp.maximum(-dot(minus(velocities, slip), normal), 0.0)
     slip = surface.mold.contact.limit_slip(slip, push)
     start = Glide.start(point, slip, triangle, side, left)
     end = move_along(surface, start, minus(velocities, slip), mobile, differentiable=differentiable)
     # It leaves no surface in the step in which it comes to it.
-    last = facets(surface.mold, end.triangle, end.side)
+    (last_corner, *_), _, last_normal = facets(surface.mold, end.triangle, end.side)
     off = end.off
-    height = dot(minus(end.position, last.corners[0]), last.normal)
-    place = minus(end.position, _within_planes(height, last.normal, mobile))
+    height = dot(minus(end.position, last_corner), last_normal)
+    place = minus(end.position, _within_planes(height, last_normal, mobile))
     place = vector(jnp.where(off, p, x) for p, x in zip(point, place, strict=True))
     new = vector(jnp.where(off, s, v) for s, v in zip(slip, end.velocity, strict=True))
     wall = jnp.where(off, wall, end.side * (end.triangle + 1))
-    return Landed(place, new, wall, 0.5 * (dot(velocities, velocities) - dot(new, new)))
+    return place, new, wall

@@ -103,7 +103,7 @@ def apply_contact(
         known: Of each surface, `touches_already`.
         room: Workspace for the nodes' hits, from `no_hits`. It is returned as it was.
     """
-    count = sum(each.count for each in due)
+    count = sum(count for _, count in due)
     return lax_cond_once(
         jnp.asarray(count) > 0,
         lambda both: _place_hit_nodes(*both, now, mass, candidates, due, surfaces, known),
@@ -160,23 +160,22 @@ class _NodePaths(NamedTuple):
         return materialize((x, y, z)), after
 
 
-class _LyingParts(NamedTuple):
-    """The triangle (n_node,) that nodes lie on, -1 for none, and the connected part (n_triangle,) of triangles."""
+_LyingParts = tuple[jax.Array, jax.Array]
+"""The triangle (n_node,) that nodes lie on, -1 for none, and the connected part (n_triangle,) of triangles."""
 
-    triangle: jax.Array
-    part: jax.Array
 
-    def is_same(self, node: jax.Array, triangle: jax.Array) -> jax.Array:
-        """Pairs (n,) of a node and a triangle of the part that it lies on: it walks there, and is not tested."""
-        on = gather(self.triangle, node)
-        return (on >= 0) & (gather(self.part, jnp.maximum(on, 0)) == gather(self.part, triangle))
+def _on_same_part(lying: _LyingParts, node: jax.Array, triangle: jax.Array) -> jax.Array:
+    """Pairs (n,) of a node and a triangle of the part that it lies on: it walks there, and is not tested."""
+    lies_on, part = lying
+    on = gather(lies_on, node)
+    return (on >= 0) & (gather(part, jnp.maximum(on, 0)) == gather(part, triangle))
 
 
 def _lying_parts(nodes: Nodes, number: int, surface: ContactSurface) -> _LyingParts | None:
     if surface.part is None:
         return None
     lies = ~nodes.stuck & (nodes.wall != 0) & on_surface(nodes.tool, number)
-    return _LyingParts(jnp.where(lies, jnp.abs(nodes.wall) - 1, -1), surface.part)
+    return jnp.where(lies, jnp.abs(nodes.wall) - 1, -1), surface.part
 
 
 def _block(
@@ -199,7 +198,7 @@ def _block(
     used = first + jnp.arange(TEST_BLOCK) < candidates.count
     blocked = gather(touches, node)
     if lying is not None:
-        blocked |= lying.is_same(node, triangle)
+        blocked |= _on_same_part(lying, node, triangle)
     return node, triangle, beta, meets & used & ~blocked
 
 
@@ -238,11 +237,11 @@ def _first_hits(
     """
 
     def more(carry: tuple[jax.Array, FirstHits]) -> jax.Array:
-        return carry[0] < due.count
+        return carry[0] < due[1]
 
     def choose(carry: tuple[jax.Array, FirstHits]) -> tuple[jax.Array, FirstHits]:
         k, found = carry
-        node, triangle, beta, meets = _block(entry(due.block, k), paths, touches, candidates, touch, lying)
+        node, triangle, beta, meets = _block(entry(due[0], k), paths, touches, candidates, touch, lying)
         return k + 1, _update_hits(found, materialize((node, first + triangle, beta, meets)))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), found))[1]
@@ -392,8 +391,9 @@ def _place_on_surface(
         left = jnp.where(lands, (1.0 - beta) * now.length, 0.0)
         mobile = mobile_components(compliance)
         flying = unstack_rows(point), unstack_rows(velocities)
-        slid = land_and_slide(surface, *flying, wall, left, mobile, differentiable=differentiable)
-        point, new, wall, loss = jnp.stack(slid.positions), jnp.stack(slid.velocities), slid.wall, mass * slid.lost
+        place, speed, wall = land_and_slide(surface, *flying, wall, left, mobile, differentiable=differentiable)
+        lost = 0.5 * (dot(flying[1], flying[1]) - dot(speed, speed))
+        point, new, loss = jnp.stack(place), jnp.stack(speed), mass * lost
     if frame is not None and work is not None:
         # The tool gives them its own velocity; what they had beside it is lost.
         offset, speed = frame.offset[:, None], frame.velocity[:, None]

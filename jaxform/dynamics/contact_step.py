@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from jaxform.contact import sticking
 from jaxform.contact.broad_phase import (
     LOOK_EVERY,
-    ActivePairs,
     BroadPhaseCheck,
+    DueBlocks,
     all_blocks,
     check_nodes,
     find_active_pairs,
@@ -104,14 +104,14 @@ def search_contact(
         for number, listed in enumerate(candidates)
     ]
     flying, this = _free_flight(moved, length, now, frames)
-    due, mass = [pairs.due for pairs in found], _masses(scene, now)
+    due, mass = [blocks for blocks, _ in found], _masses(scene, now)
     landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, known, moved.hits)
     missed = functools.reduce(operator.or_, [seen.missed for seen in moved.last_checks])
     return dataclasses.replace(
         _apply_landing(moved, landing),
         hits=met,
         halted=moved.halted | missed | (moved.count >= now.max_count),
-        stale=functools.reduce(operator.or_, [pairs.leaving for pairs in found]),
+        stale=functools.reduce(operator.or_, [leaving for _, leaving in found]),
     )
 
 
@@ -188,14 +188,14 @@ def _active_pairs(
     number: int,
     touches: jax.Array,
     frame: ToolFrame | None,
-) -> ActivePairs:
+) -> tuple[DueBlocks, jax.Array]:
     """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
     state = jax.lax.stop_gradient((moved.nodes.positions, moved.nodes.stuck, touches, candidates))
     blocks, frame = now.active.packed.elements.node_block_count, jax.lax.stop_gradient(frame)
     found = lax_cond_once(
         moved.last_checks[number].close, lambda _: find_active_pairs(*state, blocks, frame), no_active_pairs(candidates)
     )
-    return found if scene.solver.skip_far else found._replace(due=all_blocks(candidates))
+    return found if scene.solver.skip_far else (all_blocks(candidates), found[1])
 
 
 def check_free_flight(moved: WindowState, scene: Scene, now: WindowData) -> jax.Array:

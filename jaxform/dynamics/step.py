@@ -311,15 +311,14 @@ def _advance_nodes_in_blocks(
         there = dataclasses.replace(own, positions=(x, y, z), velocities=before, wall=wall, tool=tool)
         lies = lying_nodes(nodes[0], wall)
         lying = LyingNodes.of(there, materialize(velocities), nodal, nodes[1:], lies)
-        slid = slide_within_facets(lying, facets, (kick, length), surfaces, frames, damping)
+        (place, on_tool), stays, lost = slide_within_facets(lying, facets, (kick, length), surfaces, frames, damping)
         # Those that leave their triangle are left for `_walk_nodes`.
-        new = _choose(slid.stays, slid.positions, _choose(lies, (x, y, z), new))
-        velocities = _choose(slid.stays, slid.velocities, _choose(lies, before, velocities))
-        lost = slid.losses
-        sums = [jnp.where(slid.stays, lost.work, jnp.where(lies, 0.0, each)) for each in sums]
-        sums += [jnp.where(slid.stays, each, 0.0) for each in (lost.friction, lost.impact)]
-        losses = None if losses is None else jnp.where(slid.stays, lost.damping, jnp.where(lies, 0.0, losses))
-        walks = lies & ~slid.stays
+        new = _choose(stays, place, _choose(lies, (x, y, z), new))
+        velocities = _choose(stays, on_tool, _choose(lies, before, velocities))
+        sums = [jnp.where(stays, lost.work, jnp.where(lies, 0.0, each)) for each in sums]
+        sums += [jnp.where(stays, each, 0.0) for each in (lost.friction, lost.impact)]
+        losses = None if losses is None else jnp.where(stays, lost.damping, jnp.where(lies, 0.0, losses))
+        walks = lies & ~stays
         rows = [*([x] for x in materialize(new)), velocities, [walks]]
         return rows, [*([] if losses is None else [losses]), *sums, walks]
 

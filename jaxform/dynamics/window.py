@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import operator
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ from jaxform.dynamics.timestep import (
     max_step_count,
 )
 from jaxform.dynamics.window_end import SLACK, end_of_window_energy, end_window
-from jaxform.dynamics.window_state import ContactSearch, KnownContact, ScheduleRow, WindowData, WindowState
+from jaxform.dynamics.window_state import ContactSearch, KnownContact, WindowData, WindowState
 from jaxform.kernels.blocks import compile_as_one, entry
 from jaxform.kernels.derivatives import save_decision
 from jaxform.mechanics import membrane
@@ -72,14 +72,14 @@ def window(
 def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[PackedState, ActiveSet]:
     """Advances a state in packed order by a window, not differentiable; also returns the workspace for the next."""
     state, active = cool_state(state, scene, active, differentiable=False)
-    decisions = _choose_freely(state, scene, active)
+    chosen = choose_step(state, scene, active)
 
     def whole(now: tuple[PackedState, Workspace | None]) -> tuple[PackedState, Workspace | None]:
-        own = decisions._replace(chosen=decisions.chosen._replace(room=now[1]))
+        own = chosen._replace(room=now[1]), None
         state, _, room = _step_window(now[0], scene, active, own, differentiable=False)
         return state, room
 
-    state, room = compile_as_one(whole, (state, decisions.chosen.room), state.windows)
+    state, room = compile_as_one(whole, (state, chosen.room), state.windows)
     return state, dataclasses.replace(active, workspace=room)
 
 
@@ -246,16 +246,13 @@ def _set_positions(moving: WindowState, positions: Any) -> WindowState:
     return dataclasses.replace(moving, nodes=dataclasses.replace(moving.nodes, positions=positions))
 
 
-class _Decisions(NamedTuple):
-    """Decisions at a window boundary: the steps, and their row where a schedule is followed."""
-
-    chosen: StepChoice
-    row: ScheduleRow | None = None
+_Decisions = tuple[StepChoice, tuple[jax.Array, jax.Array] | None]
+"""Decisions at a window boundary: the steps, and where a schedule is followed their row, as in `WindowData`."""
 
 
 def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
-        return _choose_freely(state, scene, active)
+        return choose_step(state, scene, active), None
     row = schedule.upcoming(state.replay.row)
 
     def from_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
@@ -272,17 +269,13 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
         own = jnp.where(fresh, jnp.minimum(length, even), even)
         most = jnp.clip(steps, 1, max_step_count(own, scene))
         limit = StepLimit(state.nodes.mode, bound, state.control.sharpness)
-        return _Decisions(StepChoice(own, most, limit), ScheduleRow(row, left))
+        return StepChoice(own, most, limit), (row, left)
 
     def beyond_schedule(*now: Any) -> _Decisions:
-        return _choose_freely(*now)._replace(row=ScheduleRow(row, jnp.full_like(state.time, jnp.inf)))
+        return choose_step(*now), (row, jnp.full_like(state.time, jnp.inf))
 
     now = jax.lax.stop_gradient((state, scene, active))
     return jax.lax.cond(row < schedule.counts.size, from_schedule, beyond_schedule, *now)
-
-
-def _choose_freely(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
-    return _Decisions(choose_step(state, scene, active))
 
 
 def _begin_window(

@@ -84,9 +84,9 @@ def end_window(
     retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
     if now.row is not None:
         spent = moving.count * now.length
-        whole = now.row.left - spent <= SLACK * now.length
+        whole = now.row[1] - spent <= SLACK * now.length
         row_time = jnp.where(whole, 0.0, state.replay.row_time + spent)
-        new = dataclasses.replace(new, replay=Replay(now.row.number + whole, row_time))
+        new = dataclasses.replace(new, replay=Replay(now.row[0] + whole, row_time))
     # Chosen as a whole: leaf by leaf it would be a kernel for each.
     kept = lax_cond_once(bad, lambda _: state, new, differentiable=moving.room is None)
     return dataclasses.replace(

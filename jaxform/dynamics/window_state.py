@@ -26,7 +26,6 @@ from jaxform.sheet.heat import ThermalState, initial_heat
 from jaxform.sheet.state import (
     Control,
     EnergyBalance,
-    InitialNodeState,
     Replay,
     State,
     initial_node_state,
@@ -80,7 +79,7 @@ class WindowData:
         length: The step [s].
         bound: The elements' bound on it [s].
         most: How many steps it takes, unless it is cut short.
-        row: Of a schedule that is followed; None where none is.
+        row: Number of the row of a schedule that is followed, and the time that is left of it [s]; None where none is.
         wary: Whether no look at the nodes is trusted, since the last window was not taken.
         recursion: How viscous modes go over a step; None where there are none.
         losing: Viscous modes by which losses are counted; None where there are none.
@@ -92,18 +91,11 @@ class WindowData:
     length: jax.Array
     bound: jax.Array
     max_count: jax.Array
-    row: ScheduleRow | None
+    row: tuple[jax.Array, jax.Array] | None
     always_check: jax.Array
     recursion: Recursion | None
     losing: Modes | None = None
     rim: jax.Array | None = None
-
-
-class ScheduleRow(NamedTuple):
-    """The row of a schedule whose steps are taken, and the time that is left of it [s]."""
-
-    number: jax.Array
-    left: jax.Array
 
 
 class KnownContact(NamedTuple):
@@ -151,18 +143,14 @@ def initial_state(scene: Scene) -> State:
     """The sheet at rest in its initial shape."""
     mesh = None if scene.adaptivity is None else initial_mesh(scene, scene.adaptivity)
     positions, sheet = scene.parison.positions.T, scene.tables.sheet
-    start = initial_node_state(scene)
+    stuck, contact_time, wall, tool = initial_node_state(scene)
     fields = {name: own.start(scene.parison.positions) for name, own in scene.fields.items()}
     if mesh is not None:
         # Nodes that do not exist yet are held where the first node is.
         there = jnp.arange(mesh.node.size) < mesh.node_count
-        start = initial_node_state(scene, mesh.node)
-        start = InitialNodeState(
-            start.stuck | ~there,
-            jnp.where(there, start.contact_time, 0.0),
-            jnp.where(there, start.wall, 0),
-            start.tool,
-        )
+        stuck, contact_time, wall, tool = initial_node_state(scene, mesh.node)
+        stuck, contact_time = stuck | ~there, jnp.where(there, contact_time, 0.0)
+        wall = jnp.where(there, wall, 0)
         positions, fields = positions[:, mesh.node], {name: values[mesh.node] for name, values in fields.items()}
     zero, none = as_real(0.0), jnp.int32(0)
     elements = sheet.area.size if mesh is None else mesh.element.size
@@ -173,10 +161,10 @@ def initial_state(scene: Scene) -> State:
         nodes=Nodes(
             positions=positions,
             velocities=jnp.zeros_like(positions),
-            stuck=start.stuck,
-            contact_time=start.contact_time,
-            wall=start.wall,
-            tool=start.tool,
+            stuck=stuck,
+            contact_time=contact_time,
+            wall=wall,
+            tool=tool,
             mode=noise_vector(positions) if scene.solver.sharp_step else None,
             fields=fields,
         ),

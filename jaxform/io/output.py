@@ -179,10 +179,8 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
 
 def _initial_tool(scene: Scene) -> NDArray[np.int32]:
     """The number of the tool that nodes touch before the first step (n_node,), as in `Scene.surfaces`; -1 for none."""
-    first = initial_node_state(scene)
-    return np.where(np.asarray(first.wall) == 0, -1, 0 if first.tool is None else np.asarray(first.tool)).astype(
-        np.int32
-    )
+    _, _, wall, tool = initial_node_state(scene)
+    return np.where(np.asarray(wall) == 0, -1, 0 if tool is None else np.asarray(tool)).astype(np.int32)
 
 
 @dataclass

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from typing import Any, NamedTuple, NewType, Self
+from typing import Any, NewType, Self
 
 import jax
 import jax.numpy as jnp
@@ -230,17 +230,14 @@ PackedState = NewType("PackedState", State)
 """A state in the packed order of `active_set.ActiveSet`, as windows have it: its nodes, and its memory."""
 
 
-class InitialNodeState(NamedTuple):
-    """State of nodes (n,) at the begin of a run: stuck mask, contact time [s], wall and tool, as in `Nodes`."""
+def initial_node_state(
+    scene: Scene, node: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
+    """Initial state of these nodes (n,), or of all: immobile nodes and nodes in contact with the mold are stuck.
 
-    stuck: jax.Array
-    contact_time: jax.Array
-    wall: jax.Array
-    tool: jax.Array | None = None
-
-
-def initial_node_state(scene: Scene, node: jax.Array | None = None) -> InitialNodeState:
-    """Initial state of these nodes (n,), or of all: immobile nodes and nodes in contact with the mold are stuck."""
+    Returns:
+        `stuck`, `contact_time` [s], `wall` and `tool`, as in `Nodes`.
+    """
     mobility, lying, tool = scene.tables.mobility, scene.tables.initial_contact, scene.tables.initial_tool
     if node is not None:
         mobility, lying = mobility[:, node], None if lying is None else lying[node]
@@ -250,7 +247,7 @@ def initial_node_state(scene: Scene, node: jax.Array | None = None) -> InitialNo
     if len(scene.surfaces) > 1 and tool is None:
         tool = jnp.zeros(held.size, jnp.int32)
     if lying is None:
-        return InitialNodeState(held, time, jnp.zeros(held.size, jnp.int32), tool)
+        return held, time, jnp.zeros(held.size, jnp.int32), tool
     lies = ~held & (lying != 0)
     sticks = lies
     for number, surface in enumerate(scene.surfaces):
@@ -258,7 +255,7 @@ def initial_node_state(scene: Scene, node: jax.Array | None = None) -> InitialNo
             sticks = sticks & ~(tool == number) if tool is not None else jnp.zeros_like(lies)
     # Sooner than any step, but later than what was clamped beforehand.
     first = jnp.where(lies, jnp.finfo(time.dtype).tiny, time)
-    return InitialNodeState(held | sticks, first, jnp.where(lies, lying, 0), tool)
+    return held | sticks, first, jnp.where(lies, lying, 0), tool
 
 
 def noise_vector(positions: jax.Array) -> jax.Array:

@@ -98,12 +98,8 @@ class Glide(NamedTuple):
         return cls(position, velocity, triangle, side, left, none > 0.0, (none, none, none), none)
 
 
-class Facets(NamedTuple):
-    """Triangles of nodes (n,): their corners, vectors along their normals, and unit normals on the nodes' side."""
-
-    corners: tuple[Vector, Vector, Vector]
-    area_vector: Vector
-    normal: Vector
+Facets = tuple[tuple[Vector, Vector, Vector], Vector, Vector]
+"""Triangles of nodes (n,): their corners, vectors along their normals, and unit normals on the nodes' side."""
 
 
 def facets(mold: Mold, triangle: jax.Array, side: jax.Array) -> Facets:
@@ -111,7 +107,7 @@ def facets(mold: Mold, triangle: jax.Array, side: jax.Array) -> Facets:
     first, second, third = (vector(mold.vertices[mold.triangles[triangle, k]].T) for k in range(3))
     area_vector = cross(minus(second, first), minus(third, first))
     size = jnp.sqrt(dot(area_vector, area_vector))
-    return Facets((first, second, third), area_vector, vector(side * x / size for x in area_vector))
+    return (first, second, third), area_vector, vector(side * x / size for x in area_vector)
 
 
 def project_on_plane(velocity: Vector, normal: Vector, mobile: Vector) -> Vector:
@@ -169,6 +165,7 @@ def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vec
     mold, neighbors = surface.mold, surface.neighbors
     assert neighbors is not None
     here = facets(mold, glide.triangle, glide.side)
+    corners, _, here_normal = here
     way = vector(glide.left * w for w in glide.velocity)
     corner, share = _first_side(glide.position, way, here)
     leaves = share < 1.0
@@ -178,13 +175,13 @@ def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vec
 
     number = neighbors.reshape(-1)[neighbors.shape[1] * glide.triangle + (corner + 1) % 3]
     beyond, other_side = jnp.maximum(jnp.abs(number) - 1, 0), jnp.where(number < 0, -glide.side, glide.side)
-    there = facets(mold, beyond, other_side)
-    begin, end = (_select(here.corners, (corner + k) % 3) for k in (1, 2))
+    there_corners, _, there_normal = facets(mold, beyond, other_side)
+    begin, end = (_select(corners, (corner + k) % 3) for k in (1, 2))
     edge = minus(end, begin)
     length = jnp.sqrt(dot(edge, edge))
     edge = vector(x / length for x in edge)
-    inward = cross(there.normal, edge)
-    middle = vector((a + b + c) / 3.0 for a, b, c in zip(*there.corners, strict=True))
+    inward = cross(there_normal, edge)
+    middle = vector((a + b + c) / 3.0 for a, b, c in zip(*there_corners, strict=True))
     turned = jnp.where(dot(minus(middle, begin), inward) < 0.0, -1.0, 1.0)
     inward = vector(turned * x for x in inward)
 
@@ -193,23 +190,23 @@ def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vec
     rest = minus(velocity, vector(along * x for x in edge))
     square = dot(rest, rest)
     across = jnp.sqrt(jnp.where(square > 0.0, square, 1.0))
-    rise = dot(velocity, there.normal)
+    rise = dot(velocity, there_normal)
     ridge = rise > _STEEP * across
-    flies = leaves & ((number == 0) | ridge & (dot(pressed, there.normal) > 0.0))
+    flies = leaves & ((number == 0) | ridge & (dot(pressed, there_normal) > 0.0))
     crosses = leaves & ~flies
 
     round_it = vector(along * e + across * m for e, m in zip(edge, inward, strict=True))
-    up_it = project_on_plane(velocity, there.normal, mobile)
+    up_it = project_on_plane(velocity, there_normal, mobile)
     # In the valley, from which the next face leads up: a node that would be back within the step is at rest there.
     back = jnp.maximum(-dot(pressed, inward), 0.0)
     stays = ~ridge & (dot(up_it, inward) <= back)
     within = vector(along * e for e in edge)
     new = vector(jnp.where(ridge, r, jnp.where(stays, w, u)) for r, w, u in zip(round_it, within, up_it, strict=True))
-    target = vector(jnp.where(stays, a, b) for a, b in zip(here.normal, there.normal, strict=True))
+    target = vector(jnp.where(stays, a, b) for a, b in zip(here_normal, there_normal, strict=True))
     new = project_on_plane(new, target, mobile)
     lost = jnp.where(crosses & ~ridge, 0.5 * (dot(velocity, velocity) - dot(new, new)), 0.0)
     alone = number == 0
-    away = vector(a + jnp.where(alone, 0.0, b) for a, b in zip(here.normal, there.normal, strict=True))
+    away = vector(a + jnp.where(alone, 0.0, b) for a, b in zip(here_normal, there_normal, strict=True))
     moves_over = crosses & ~stays
     return Glide(
         position=place,
@@ -225,10 +222,10 @@ def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vec
 
 def _first_side(position: Vector, way: Vector, here: Facets) -> tuple[jax.Array, jax.Array]:
     """The corner (n,) opposite to the side that a way leaves a triangle through, and at which share of it; else inf."""
-    first, second, third = here.corners
-    square = dot(here.area_vector, here.area_vector)
+    (first, second, third), area_vector, _ = here
+    square = dot(area_vector, area_vector)
     away, edge1, edge2 = minus(position, first), minus(second, first), minus(third, first)
-    duals = cross(edge2, here.area_vector), cross(here.area_vector, edge1)
+    duals = cross(edge2, area_vector), cross(area_vector, edge1)
     gamma, delta = (dot(away, dual) / square for dual in duals)
     gamma_rate, delta_rate = (dot(way, dual) / square for dual in duals)
     shares, rates = (1.0 - gamma - delta, gamma, delta), (-gamma_rate - delta_rate, gamma_rate, delta_rate)

@@ -69,15 +69,15 @@ def test_a_node_goes_round_a_cylinder_with_its_speed_and_stays_on_it() -> None:
     )  # fmt: skip
     path = 0.0
     for _ in range(20):
-        here = facets(surface.mold, glide.triangle, glide.side)
-        inwards = vector(-x for x in here.normal)
+        _, _, normal = facets(surface.mold, glide.triangle, glide.side)
+        inwards = vector(-x for x in normal)
         before = np.ravel(glide.position)
         glide = move_along(surface, glide._replace(left=jnp.array([0.35])), inwards, _ONES, differentiable=False)
         path += np.linalg.norm(np.ravel(glide.position) - before)
-        last = facets(surface.mold, glide.triangle, glide.side)
-        away = dot(last.normal, minus(glide.position, last.corners[0]))
+        (corner, *_), _, normal = facets(surface.mold, glide.triangle, glide.side)
+        away = dot(normal, minus(glide.position, corner))
         assert abs(float(away[0])) < 1e-14 and not bool(glide.off[0])
-        outward = dot(last.normal, last.corners[0])
+        outward = dot(normal, corner)
         assert float(outward[0]) > 0.9  # still outside
     assert np.linalg.norm(np.ravel(glide.velocity)) == pytest.approx(np.hypot(0.3, 0.02), rel=1e-12)
     assert float(glide.velocity[1][0]) == pytest.approx(0.02, rel=1e-12)
@@ -166,24 +166,24 @@ def test_a_step_within_a_triangle_is_that_of_the_walk_over_triangles() -> None:
     )  # fmt: skip
     steps, frames = (kick, length), (None, frame)
     known = find_facets(wall, nodes.tool, mobile, surfaces)
-    fast = slide_within_facets(nodes, known, steps, surfaces, frames, damping)
+    (place, speed), stays, fast = slide_within_facets(nodes, known, steps, surfaces, frames, damping)
     walk = slide_nodes(nodes, steps, surfaces, frames, damping, differentiable=False)
-    stays = np.asarray(fast.stays)
+    stays = np.asarray(stays)
     expected = np.asarray(lies & ~walk.left & (walk.wall == wall))
     np.testing.assert_array_equal(stays, expected)
     assert 50 < stays.sum() < 0.7 * count and held[stays].sum() > 10 and 10 < tool[stays].sum() < stays.sum() - 10
-    quick = *fast.positions, *fast.velocities
+    quick = *place, *speed
     for one, other in zip(quick, (*walk.positions, *walk.velocities), strict=True):
         np.testing.assert_allclose(np.asarray(one)[stays], np.asarray(other)[stays], rtol=0, atol=1e-14)
     # What is lost in all; along a normal that a symmetry plane cuts it is shared out differently.
     losses = [np.sum([np.broadcast_to(x, count) for x in each], axis=0)[stays & ~held] for each in (
-        (fast.losses.friction, fast.losses.impact), (walk.losses.friction, walk.losses.impact))]  # fmt: skip
+        (fast.friction, fast.impact), (walk.losses.friction, walk.losses.impact))]  # fmt: skip
     np.testing.assert_allclose(losses[0], losses[1], atol=1e-13)
     for name in ("work", "damping"):
-        own, others = (np.broadcast_to(getattr(each.losses, name), count)[stays] for each in (fast, walk))
+        own, others = (np.broadcast_to(getattr(each, name), count)[stays] for each in (fast, walk.losses))
         np.testing.assert_allclose(own, others, atol=1e-13)
     # Of a triangle that is not the one that nodes lie on nothing is known.
-    assert not np.any(slide_within_facets(nodes, known._replace(wall=-wall), steps, surfaces, frames, damping).stays)
+    assert not np.any(slide_within_facets(nodes, known._replace(wall=-wall), steps, surfaces, frames, damping)[1])
 
 
 def test_below_the_cone_nothing_moves_and_beyond_it_all_of_the_excess_does() -> None:

@@ -138,13 +138,14 @@ def test_ways_cross_a_closed_box_as_often_as_their_ends_say(turn: int) -> None:
     ends[:, :, 0] = [[0.5, 0.5, 0.5], [1.5, 0.5, 0.5]]
     ends[:, :, 1] = [[0.5, 0.5, 0.5], [1.5, 1.5, 1.5]]
     ends[:, :, 2] = [[-0.5, 0.5, 0.5], [1.5, 0.5, 0.5]]
-    seen = jax.jit(ray_crossings.ray_crossings)(*map(jnp.asarray, ends), jnp.ones(700, bool), grid)
+    found = jax.jit(ray_crossings.ray_crossings)(*map(jnp.asarray, ends), jnp.ones(700, bool), grid)
+    count, triangle, side = map(np.asarray, found)
     inside = np.all((ends > 0) & (ends < 1), axis=1)
-    np.testing.assert_array_equal(np.asarray(seen.count) % 2 == 1, inside[0] != inside[1])
-    assert np.asarray(seen.count)[:3].tolist() == [1, 1, 2] and int(seen.count.max()) == 2
+    np.testing.assert_array_equal(count % 2 == 1, inside[0] != inside[1])
+    assert count[:3].tolist() == [1, 1, 2] and count.max() == 2
     # What is crossed last is told with the side from which the way comes.
-    crossed = np.asarray(seen.count) > 0
-    triangle, side = np.asarray(seen.triangle)[crossed], np.asarray(seen.side)[crossed]
+    crossed = count > 0
+    triangle, side = triangle[crossed], side[crossed]
     corners = vertices[triangles[triangle]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     path = (ends[1] - ends[0]).T[crossed]
@@ -154,5 +155,5 @@ def test_ways_cross_a_closed_box_as_often_as_their_ends_say(turn: int) -> None:
 def test_ways_that_are_not_wanted_see_nothing() -> None:
     vertices, triangles = box(1)
     begin, end = jnp.full((3, 5), 0.5), jnp.full((3, 5), 3.0)
-    seen = ray_crossings.ray_crossings(begin, end, jnp.arange(5) == 2, build_grid(vertices, triangles))
-    assert seen.count.tolist() == [0, 0, 1, 0, 0] and seen.triangle.tolist()[:2] == [-1, -1]
+    count, triangle, _ = ray_crossings.ray_crossings(begin, end, jnp.arange(5) == 2, build_grid(vertices, triangles))
+    assert count.tolist() == [0, 0, 1, 0, 0] and triangle.tolist()[:2] == [-1, -1]
