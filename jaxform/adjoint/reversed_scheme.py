@@ -179,12 +179,12 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     number = jnp.arange(longest)
     taken = number < kept.count
     held = packed.pack(kept.stuck) | ~packed.exists
-    own = discrete.of_elements(packed.element)
+    thickness, zones, _ = discrete.of_elements(packed.element)
     now = ReverseWindow(
         scene=scene,
         packed=packed,
-        thickness=own.thickness,
-        material=scene.material.with_zones(own.zones),
+        thickness=thickness,
+        material=scene.material.with_zones(zones),
         mass=packed.pack(discrete.mass),
         compliance=packed.pack(discrete.compliance),
         landing_step=jnp.where(held, -1, packed.pack(kept.landing_step)),

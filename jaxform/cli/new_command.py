@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
 from jaxform.core import disk
 from jaxform.core.errors import InputError, warn_of
 
 if TYPE_CHECKING:
-    from jaxform.io.scene_choices import Draft, UserChoices
+    from jaxform.io.scene_choices import Draft
 
 _LEAST, _MOST = 1e-9, 1e3  # m
 _LARGE = 3.0  # of a part in metres, which may be one of a few inches
@@ -59,9 +59,9 @@ def start(arguments: argparse.Namespace) -> int:
     from jaxform.io import scene_text, scene_wizard
 
     paths = [disk.expand_path(name) for name in arguments.mold]
-    wishes = _wishes(arguments)
+    choices = _choices(arguments)
     try:
-        made = scene_wizard.draft(paths, wishes)
+        made = scene_wizard.draft(paths, **choices)
     except InputError as error:
         raise error.with_context(key="--mold") from None
     _open_folder(arguments)
@@ -120,15 +120,16 @@ def _say_next(arguments: argparse.Namespace, files: Sequence[Path], say: Callabl
     return session.DONE
 
 
-def _wishes(arguments: argparse.Namespace) -> UserChoices:
-    from jaxform.io.scene_choices import UserChoices
+def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The user's choices, as keywords of `scene_wizard.draft`."""
     from jaxform.tools import buck
 
     direction = None if arguments.direction is None else buck.parse_direction(arguments.direction)
     drape = True if arguments.drape else False if arguments.cavity else None
     process, plug = "pressure" if arguments.process == "pressure" else "vacuum", arguments.plug
     path = plug if plug is None or plug == "auto" else disk.expand_path(plug)
-    return UserChoices(arguments.scale, arguments.thickness, drape, direction, process, path)
+    sizes = {"scale": arguments.scale, "thickness": arguments.thickness}
+    return sizes | {"drape": drape, "direction": direction, "process": process, "plug": path}
 
 
 def _check_positive(key: str, value: float | None) -> None:
@@ -143,7 +144,7 @@ def _warn(made: Draft) -> None:
 
     found, largest = made.found, float(made.size.max())
     if made.guessed and unit_checks.METRES < largest <= _LARGE:
-        problem = f"its bounding box is {largest:.4g} units long: assumed to be in {made.units.name}"
+        problem = f"its bounding box is {largest:.4g} units long: assumed to be in {made.units}"
         warn_of(problem, "give --scale 1 if it is in metres", key="--mold")
     if made.rest is not None:
         problem = (
@@ -170,8 +171,8 @@ def _lines(made: Draft) -> Iterator[str]:
     from jaxform.io import scene_choices, scene_text
 
     box = " x ".join(f"{side:.4g}" for side in made.size)
-    otherwise = made.units.others or "--scale overrides this"
-    yield f"the mold's bounding box is {box} in its file's units, assumed to be {made.units.name} ({otherwise})"
+    otherwise = made.other_units or "--scale overrides this"
+    yield f"the mold's bounding box is {box} in its file's units, assumed to be {made.units} ({otherwise})"
     yield from _cavity_lines(made) if made.drape is None else scene_choices.lines(made.drape)
     if made.doubt:
         yield f"it is {made.doubt}"

@@ -105,7 +105,7 @@ def read_bottle(paths: Sequence[Path], scale: float | None) -> tuple[Mesh, Units
     raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
     extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
     units = guess_units(extent, scale)
-    return footprint.weld_mold(raw.positions * units.scale, raw.triangles), units, extent
+    return footprint.weld_mold(raw.positions * units[0], raw.triangles), units, extent
 
 
 def _neck_radius(body: Revolution) -> float:
@@ -151,7 +151,7 @@ def describe_bottle(made: BottleDraft) -> Iterator[str]:
     """Lines on what was found and chosen."""
     body = made.body
     yield describe_box(made.units, made.size)
-    (x, y, z), (a, b, c) = np.round(body.origin / made.units.scale, 4) + 0.0, np.round(body.axis, 4) + 0.0
+    (x, y, z), (a, b, c) = np.round(body.origin / made.units[0], 4) + 0.0, np.round(body.axis, 4) + 0.0
     yield f"it is round about the axis from its neck at ({x:g}, {y:g}, {z:g}) along ({a:g}, {b:g}, {c:g}) of the file"
     yield (
         f"it is {1e3 * body.length:.3g} mm long, {2e3 * body.radius:.3g} mm wide with a neck of "
@@ -167,8 +167,9 @@ def describe_bottle(made: BottleDraft) -> Iterator[str]:
 
 def describe_box(units: Units, size: Array) -> str:
     """The bounding box of a bottle, of this size (3,) in its file's units, and what these were taken for."""
-    box, others = " x ".join(f"{side:.4g}" for side in size), units.others or "--scale overrides this"
-    return f"the bottle's bounding box is {box} in its file's units, assumed to be {units.name} ({others})"
+    box, (_, name, others) = " x ".join(f"{side:.4g}" for side in size), units
+    told = others or "--scale overrides this"
+    return f"the bottle's bounding box is {box} in its file's units, assumed to be {name} ({told})"
 
 
 def _points(points: Array) -> str:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
-from jaxform.io.unit_checks import Units
 from jaxform.mesh import masks, meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import buck, patches, scans
@@ -185,7 +183,8 @@ class Draft:
 
     Attributes:
         scale: Metres per unit of the mold's file.
-        units: The unit in words, and its alternatives.
+        units: Name of the unit.
+        other_units: Other units that the file may have, in words; empty where it is clear.
         guessed: Whether the scale was guessed.
         size: Box of the mold as it is in the file (3,).
         rotate: Rotation of the mold [degrees] (3,).
@@ -209,7 +208,8 @@ class Draft:
     """
 
     scale: float
-    units: Units
+    units: str
+    other_units: str
     guessed: bool
     size: Array
     rotate: Array
@@ -303,27 +303,6 @@ class Draft:
     @property
     def _time(self) -> float:
         return 0.5 * self.width * float(np.sqrt(DENSITY / STIFFNESS))
-
-
-@dataclass(frozen=True)
-class UserChoices:
-    """The user's choices for a first scene; None where a choice is left to the program.
-
-    Attributes:
-        scale: Metres per unit of the files; by default guessed from the mold's size.
-        thickness: Thickness of the sheet [m]; by default in proportion to its width.
-        drape: Whether the mold is a buck.
-        direction: Unit vector (3,) to the side from which the sheet comes, in the file's axes.
-        process: One of `PROCESSES`.
-        plug: The mesh file of a plug, or "auto" for one that is made by an offset of the cavity; None without one.
-    """
-
-    scale: float | None = None
-    thickness: float | None = None
-    drape: bool | None = None
-    direction: Array | None = None
-    process: str = PROCESSES[0]
-    plug: Path | Literal["auto"] | None = None
 
 
 def round_digits(value: float) -> float:

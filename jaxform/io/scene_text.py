@@ -71,7 +71,7 @@ def _added_meshes(made: Draft) -> dict[str, Mesh]:
 
 def cut_planes_text(planes: Sequence[Plane], scale: float) -> str:
     """The planes in which a mold is cut, as its file has them, in words."""
-    return " and ".join(f"{'xyz'[plane.axis]} = {_number(plane.level / scale, 4)}" for plane in planes)
+    return " and ".join(f"{'xyz'[axis]} = {_number(level / scale, 4)}" for axis, level in planes)
 
 
 def _names(folder: Path, paths: Sequence[Path], written: Collection[str] = ()) -> list[str]:
@@ -207,7 +207,7 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
     box = " x ".join(_number(side, 4) for side in made.size)
     return [
         "",
-        f"# The file's bounding box is {box}: assumed to be in {made.units.name}. {_pose(made)}",
+        f"# The file's bounding box is {box}: assumed to be in {made.units}. {_pose(made)}",
         *lines,
         "[mold]",
         'shape = "file"',

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.io import scene_choices
 from jaxform.io.geometry import error_context
-from jaxform.io.scene_choices import Draft, Plug, UserChoices, clearance, round_digits
+from jaxform.io.scene_choices import PROCESSES, Draft, Plug, clearance, round_digits
 from jaxform.io.unit_checks import guess_units
 from jaxform.mesh import masks, meshes, outlines
 from jaxform.mesh.grids import triangle_side
@@ -36,46 +36,60 @@ _RESOLVED = 2.0  # pixels: half the width below which a part of the cavity is no
 _SLIT, _SLIT_AREA = 4.0, 0.25  # a slit's depth in half widths at least, and at most of the cavity's area
 
 
-def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
+def draft(
+    paths: Sequence[Path],
+    *,
+    scale: float | None = None,
+    thickness: float | None = None,
+    drape: bool | None = None,
+    direction: Array | None = None,
+    process: str = PROCESSES[0],
+    plug: Path | Literal["auto"] | None = None,
+) -> Draft:
     """A first scene for a mold.
 
     Args:
         paths: The mesh files that are the mold.
-        wishes: Choices of the user.
+        scale: Metres per unit of the files; by default guessed from the mold's size.
+        thickness: Thickness of the sheet [m]; by default in proportion to its width.
+        drape: Whether the mold is a buck; by default as it seems.
+        direction: Unit vector (3,) to the side from which the sheet comes, in the file's axes; found by default.
+        process: One of `PROCESSES`.
+        plug: The mesh file of a plug, or "auto" for one that is made by an offset of the cavity; None without one.
 
     Raises:
         InputError: A file cannot be read, or the mold has no opening and nothing stands out of it.
     """
-    wishes = wishes or UserChoices()
     parts = [meshes.read_mesh(path) for path in paths]
     raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
     extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
-    units = guess_units(extent, wishes.scale)
-    mold = footprint.weld_mold(raw.positions * units.scale, raw.triangles)
-    is_male, doubt, completion = _classify(mold, wishes)
+    unit, units, other_units = guess_units(extent, scale)
+    mold = footprint.weld_mold(raw.positions * unit, raw.triangles)
+    is_male, doubt, completion = _classify(mold, drape, direction)
     rest, planes = completion or (None, ())
     known: dict[str, Any] = {
-        "scale": units.scale,
+        "scale": unit,
         "units": units,
-        "guessed": wishes.scale is None,
+        "other_units": other_units,
+        "guessed": scale is None,
         "size": extent,
-        "process": wishes.process,
+        "process": process,
         "planes": planes,
         "doubt": doubt,
     }
     if is_male:
-        if wishes.plug is not None:
+        if plug is not None:
             problem, remedy = "pushes a sheet into a cavity, and this mold is male", "leave it out, or give --cavity"
-            raise InputError(problem, remedy, "--plug", str(wishes.plug))
-        return _draft_buck(mold, wishes, known)
-    return _draft_cavity(mold, rest, wishes, known)
+            raise InputError(problem, remedy, "--plug", str(plug))
+        return _draft_buck(mold, thickness, direction, known)
+    return _draft_cavity(mold, rest, thickness, direction, plug, known)
 
 
-def _classify(mold: Mesh, wishes: UserChoices) -> tuple[bool, str, halves.Completion | None]:
+def _classify(mold: Mesh, drape: bool | None, direction: Array | None) -> tuple[bool, str, halves.Completion | None]:
     """The kind of a mold as the user wants it or as it seems, see `kinds.classify`."""
-    if wishes.drape is not None:
-        completion = None if wishes.drape or wishes.direction is not None else halves.find_completion(mold)
-        return wishes.drape, "", completion
+    if drape is not None:
+        completion = None if drape or direction is not None else halves.find_completion(mold)
+        return drape, "", completion
     patches.refuse_bottles(mold)
     kinds.refuse_tubes(mold)
     is_male, doubt, completion = kinds.classify(mold)
@@ -84,19 +98,26 @@ def _classify(mold: Mesh, wishes: UserChoices) -> tuple[bool, str, halves.Comple
     return is_male, doubt, completion
 
 
-def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dict[str, Any]) -> Draft:
+def _draft_cavity(
+    mold: Mesh,
+    rest: Mesh | None,
+    thickness: float | None,
+    direction: Array | None,
+    plug: Path | Literal["auto"] | None,
+    known: dict[str, Any],
+) -> Draft:
     """A first scene in which a sheet is formed into a cavity, by what is `known` already of its `Draft`."""
     if rest is not None:
         whole = meshes.merge([mold, rest])
         mold = footprint.weld_mold(whole.positions, whole.triangles)
-    found = opening.find_opening(mold.positions, mold.triangles, male=False, direction=wishes.direction)
+    found = opening.find_opening(mold.positions, mold.triangles, male=False, direction=direction)
     planform, flange = footprint.fit_planform(found, mold.positions, mold.triangles)
     rotate, translate, polygon = _place(found, planform)
     area = abs(outlines.area(polygon))
     width = _width(polygon, area)
     pocket, slit = _pockets(found)
     pocket = min(pocket, 0.5 * width)
-    thickness = wishes.thickness or round_digits(_THICKNESS * width)
+    thickness = thickness or round_digits(_THICKNESS * width)
     return Draft(
         **known,
         rotate=rotate,
@@ -112,38 +133,36 @@ def _draft_cavity(mold: Mesh, rest: Mesh | None, wishes: UserChoices, known: dic
         slit=slit,
         thickness=thickness,
         element_size=_element_size(pocket, area, _ELEMENTS),
-        plug=_plug(found, wishes, known["scale"], thickness, (rotate, translate)),
+        plug=None if plug is None else _plug(found, plug, known["scale"], thickness, (rotate, translate)),
     )
 
 
 def _plug(
-    found: Opening, wishes: UserChoices, scale: float, thickness: float, place: tuple[Array, Array]
-) -> Plug | None:
+    found: Opening, path: Path | Literal["auto"], scale: float, thickness: float, place: tuple[Array, Array]
+) -> Plug:
     """The plug that the user wants, before the sheet; `place` is the rotation [degrees] and translation of the mold."""
-    if wishes.plug is None:
-        return None
     start, turn, (rotate, translate) = clearance(thickness), found.view.turn, place
     to_scene = molds.rotation(rotate) @ turn.T
     level = np.array([0.0, 0.0, found.level])
-    if wishes.plug == "auto":
+    if path == "auto":
         made, stroke = plugs.offset_plug(found, start)
         positions = (made.positions + level) @ to_scene.T + translate
         return Plug(meshes.box_sides(made), stroke, None, replace(made, positions=positions), np.zeros(3))
     with error_context("", "--plug"):
-        own = meshes.weld(meshes.read_mesh(wishes.plug, scale=scale))
+        own = meshes.weld(meshes.read_mesh(path, scale=scale))
         stroke, shift = plugs.place_plug(replace(own, positions=own.positions @ turn.T - level), found, start)
     moved = replace(own, positions=own.positions @ turn.T - level + shift)
-    return Plug(meshes.box_sides(moved), stroke, wishes.plug, None, np.round(translate + to_scene @ shift, 9) + 0.0)
+    return Plug(meshes.box_sides(moved), stroke, path, None, np.round(translate + to_scene @ shift, 9) + 0.0)
 
 
-def _draft_buck(mold: Mesh, wishes: UserChoices, known: dict[str, Any]) -> Draft:
+def _draft_buck(mold: Mesh, thickness: float | None, direction: Array | None, known: dict[str, Any]) -> Draft:
     """A first scene in which a sheet is draped over a buck, by what is `known` already of its `Draft`."""
-    made = scene_choices.drape(mold, wishes.direction)
+    made = scene_choices.drape(mold, direction)
     planform = made.planform
     outline = planform_polygon(planform)
     area = abs(outlines.area(outline))
     width = _width(outline, area)
-    thickness = wishes.thickness or round_digits(_THICKNESS * width)
+    thickness = thickness or round_digits(_THICKNESS * width)
     found = made.opening(thickness)
     rotate, translate, polygon = _place(found, planform)
     return Draft(

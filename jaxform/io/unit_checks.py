@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -105,18 +103,8 @@ _CENTIMETRES = 60.0  # the same, up to which a part of so many millimetres may b
 _ROUND, _OFF = 0.5, 1e-4  # of sides in centimetres, that are multiples of a half
 
 
-class Units(NamedTuple):
-    """A unit of length.
-
-    Attributes:
-        scale: The unit in metres.
-        name: Name of the unit.
-        others: Other units that the file may have, as `--scale` says them.
-    """
-
-    scale: float
-    name: str
-    others: str = ""
+Units = tuple[float, str, str]
+"""A unit of length: in metres, its name, and other units that a file may have, as `--scale` says them; "" for none."""
 
 
 _IN_MM = "--scale 0.001 where it is in millimetres"
@@ -129,17 +117,17 @@ def guess_units(box: NDArray[np.float64], scale: float | None = None) -> Units:
     guessed = _guess(box)
     if scale is None:
         return guessed
-    return Units(scale, guessed.name if scale == guessed.scale else f"units of {scale:g} m")
+    return scale, guessed[1] if scale == guessed[0] else f"units of {scale:g} m", ""
 
 
 def _guess(box: NDArray[np.float64]) -> Units:
     size = float(box.max())
     if size <= METRES:
-        return Units(1.0, "metres")
+        return 1.0, "metres", ""
     if size <= INCHES:
         halves = box / _ROUND
         # A part of 12 x 8 x 5 is drawn in centimetres, one of 4.72 x 3.15 x 1.97 is drawn in inches or converted.
         if np.all(np.abs(halves - np.round(halves)) <= _OFF * np.maximum(halves, 1.0)):
-            return Units(0.01, "centimetres", f"give {_IN_MM}, {_IN_INCHES}")
-        return Units(0.0254, "inches", f"give {_IN_MM}, {_IN_CM}")
-    return Units(0.001, "millimetres", f"give {_IN_CM}" if size <= _CENTIMETRES else "")
+            return 0.01, "centimetres", f"give {_IN_MM}, {_IN_INCHES}"
+        return 0.0254, "inches", f"give {_IN_MM}, {_IN_CM}"
+    return 0.001, "millimetres", f"give {_IN_CM}" if size <= _CENTIMETRES else ""

@@ -109,17 +109,18 @@ def build_forest(
         if len(bad):
             raise InputError(problem, "correct the mesh or leave [refinement] out", "parison", bad[0].tolist())
     count = len(positions)
-    nodes = _NodeTable(
-        positions=np.asarray(positions, float),
-        ends=np.repeat(np.arange(count), 2).reshape(-1, 2),
-        clamped=np.zeros(count, bool) if clamped is None else np.asarray(clamped, bool),
-        fixed=np.zeros((count, 3), bool) if fixed is None else np.asarray(fixed, bool),
+    immobile = np.zeros(count, bool) if clamped is None else np.asarray(clamped, bool)
+    nodes: _NodeTable = (
+        np.asarray(positions, float),
+        np.repeat(np.arange(count), 2).reshape(-1, 2),
+        immobile,
+        np.zeros((count, 3), bool) if fixed is None else np.asarray(fixed, bool),
     )
-    level = _rotate_longest_first(nodes.positions, np.asarray(triangles, np.int64))
+    level = _rotate_longest_first(nodes[0], np.asarray(triangles, np.int64))
     slots = _root_slots(level, count)
-    held = nodes.clamped[level].all(1)  # a triangle that cannot move at all stays so in its parts
+    held = immobile[level].all(1)  # a triangle that cannot move at all stays so in its parts
     rim = _rim(level)
-    still = _fixed_sides(level, rim, held, nodes.clamped)
+    still = _fixed_sides(level, rim, held, immobile)
     levels, middles, all_slots = [level], [], [slots]
     for _ in range(depth):
         node, nodes = _add_middle_nodes(nodes, level[:, 1:], rim[:, 1], still[:, 1], snap)
@@ -131,31 +132,26 @@ def build_forest(
         levels.append(level)
         middles.append(node)
         all_slots.append(slots)
+    node_positions, ends, node_clamped, node_fixed = nodes
     whole = np.concatenate(levels)
     middle = np.concatenate([*middles, np.full(len(level), -1)])
     return TriangleForest(
         root_count=len(triangles),
         depth=depth,
-        positions=nodes.positions,
+        positions=node_positions,
         triangles=whole.astype(np.int32),
         partner=_partners(middle),
         middle=middle.astype(np.int32),
         half_edges=_half_edges(whole),
         corner_slots=np.concatenate(all_slots).astype(np.int32),
-        ends=nodes.ends.astype(np.int32),
-        clamped=nodes.clamped,
-        fixed=nodes.fixed,
+        ends=ends.astype(np.int32),
+        clamped=node_clamped,
+        fixed=node_fixed,
     )
 
 
-@dataclasses.dataclass(frozen=True)
-class _NodeTable:
-    """The nodes so far; see `TriangleForest`."""
-
-    positions: Array
-    ends: NDArray[np.int64]
-    clamped: NDArray[np.bool_]
-    fixed: NDArray[np.bool_]
+_NodeTable = tuple[Array, NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]
+"""The nodes so far: `positions`, `ends`, `clamped` and `fixed` of `TriangleForest`."""
 
 
 def _rim(triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -189,8 +185,9 @@ def _add_middle_nodes(
     snap: Snap | None,
 ) -> tuple[NDArray[np.int64], _NodeTable]:
     """The nodes in the middle of edges (n, 2), and all nodes with those that are new."""
-    count = len(nodes.positions)
-    known, key = _keys(nodes.ends, count), _keys(edges, count)
+    known_positions, known_ends, known_clamped, known_fixed = nodes
+    count = len(known_positions)
+    known, key = _keys(known_ends, count), _keys(edges, count)
     order = np.argsort(known, kind="stable")
     place = np.minimum(np.searchsorted(known[order], key), count - 1)
     node = np.where(known[order][place] == key, order[place], -1)
@@ -198,16 +195,16 @@ def _add_middle_nodes(
     _, first, inverse = np.unique(key[missing], return_index=True, return_inverse=True)
     node[missing] = count + inverse
     ends, on_rim = edges[missing][first], rim[missing][first]
-    positions = nodes.positions[ends].mean(1)
+    positions = known_positions[ends].mean(1)
     if snap is not None:
-        positions = snap(positions, nodes.positions[ends], on_rim)
+        positions = snap(positions, known_positions[ends], on_rim)
     clamped = still[missing][first]
-    fixed = on_rim[:, None] & nodes.fixed[ends].all(1)
-    return node, _NodeTable(
-        np.concatenate([nodes.positions, positions]),
-        np.concatenate([nodes.ends, ends]),
-        np.concatenate([nodes.clamped, clamped]),
-        np.concatenate([nodes.fixed, fixed]),
+    fixed = on_rim[:, None] & known_fixed[ends].all(1)
+    return node, (
+        np.concatenate([known_positions, positions]),
+        np.concatenate([known_ends, ends]),
+        np.concatenate([known_clamped, clamped]),
+        np.concatenate([known_fixed, fixed]),
     )
 
 

@@ -34,13 +34,8 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
 
 
-@dataclass
-class _Property:
-    """A number of each item, or, where the count has a type, a list of numbers."""
-
-    name: str
-    type: str
-    count_type: str = ""
+_Property = tuple[str, str, str]
+"""Name and type of a number of each item; or of a list of numbers, whose count has the last type, "" of no list."""
 
 
 @dataclass
@@ -106,8 +101,8 @@ def _property(words: list[str], line: str) -> _Property:
     if len(words) != len(types) * 2 + 1 or not all(kind in _TYPES for kind in types):
         raise InputError(f"has a header line that is not understood ({line.strip()[:60]})", "export it again")
     if words[1] == "list":
-        return _Property(words[4], _TYPES[types[1]], _TYPES[types[0]])
-    return _Property(words[2], _TYPES[types[0]])
+        return words[4], _TYPES[types[1]], _TYPES[types[0]]
+    return words[2], _TYPES[types[0]], ""
 
 
 def _truncation_error(element: _Element, there: int) -> InputError:
@@ -117,11 +112,11 @@ def _truncation_error(element: _Element, there: int) -> InputError:
 
 def _fill_element(element: _Element, columns: list[Array], counts: list[Array]) -> None:
     """Sets the numbers of an element; of scalars the columns are (n,), of lists all their numbers."""
-    for prop, column, count in zip(element.properties, columns, counts, strict=True):
-        if prop.count_type:
-            element.lists[prop.name] = (count, column)
+    for (name, _, count_type), column, count in zip(element.properties, columns, counts, strict=True):
+        if count_type:
+            element.lists[name] = (count, column)
         else:
-            element.scalars[prop.name] = column
+            element.scalars[name] = column
 
 
 class _PlyBinary:
@@ -140,10 +135,10 @@ class _PlyBinary:
             _fill_element(element, *_empty_columns(element))
             return True
         lengths, place = [], self.place
-        for prop in element.properties:
+        for _, number_type, count_type in element.properties:
             length = 1
-            if prop.count_type:
-                kind = np.dtype(self.order + prop.count_type)
+            if count_type:
+                kind = np.dtype(self.order + count_type)
                 if place + kind.itemsize > len(self.body):
                     raise _truncation_error(element, 0)
                 length = int(np.frombuffer(self.body, kind, 1, place)[0])
@@ -151,20 +146,20 @@ class _PlyBinary:
             if length < 0 or place + length > len(self.body):
                 return False
             lengths.append(length)
-            place += length * np.dtype(prop.type).itemsize
+            place += length * np.dtype(number_type).itemsize
         fields: list[Any] = []
-        for k, (prop, length) in enumerate(zip(element.properties, lengths, strict=True)):
-            fields += [(f"n{k}", self.order + prop.count_type)] if prop.count_type else []
-            fields.append((f"v{k}", self.order + prop.type, (length,)))
+        for k, ((_, number_type, count_type), length) in enumerate(zip(element.properties, lengths, strict=True)):
+            fields += [(f"n{k}", self.order + count_type)] if count_type else []
+            fields.append((f"v{k}", self.order + number_type, (length,)))
         item = np.dtype(fields)
         there = (len(self.body) - self.place) // item.itemsize
-        listed = any(prop.count_type for prop in element.properties)
+        listed = any(count_type for _, _, count_type in element.properties)
         if there < element.count and not listed:
             raise _truncation_error(element, there)
         if there < element.count:
             return False
         rows = np.frombuffer(self.body, item, element.count, self.place)
-        counts = [rows[f"n{k}"] if prop.count_type else np.zeros(0) for k, prop in enumerate(element.properties)]
+        counts = [rows[f"n{k}"] if kind else np.zeros(0) for k, (_, _, kind) in enumerate(element.properties)]
         if any((count != length).any() for count, length in zip(counts, lengths, strict=True)):
             return False
         self.place += rows.nbytes
@@ -174,8 +169,8 @@ class _PlyBinary:
     def _read_each(self, element: _Element) -> None:
         columns: list[list[Array]] = [[] for _ in element.properties]
         counts: list[list[int]] = [[] for _ in element.properties]
-        kinds = [np.dtype(self.order + prop.type) for prop in element.properties]
-        heads = [np.dtype(self.order + prop.count_type) if prop.count_type else None for prop in element.properties]
+        kinds = [np.dtype(self.order + number_type) for _, number_type, _ in element.properties]
+        heads = [np.dtype(self.order + kind) if kind else None for _, _, kind in element.properties]
         place = self.place
         for item in range(element.count):
             for k, (kind, head) in enumerate(zip(kinds, heads, strict=True)):
@@ -212,12 +207,12 @@ class _PlyText:
     def _read_uniform(self, element: _Element) -> bool:
         """Reads items whose lists are as long as those of the first one; False where they are not."""
         starts, place = [], 0
-        for prop in element.properties:
-            place += bool(prop.count_type)
-            length = self._length(self.place + place - 1) if prop.count_type else 1
+        for _, _, count_type in element.properties:
+            place += bool(count_type)
+            length = self._length(self.place + place - 1) if count_type else 1
             starts.append((place, length))
             place += length
-        listed = [place - 1 for (place, _), prop in zip(starts, element.properties, strict=True) if prop.count_type]
+        listed = [place - 1 for (place, _), (_, _, kind) in zip(starts, element.properties, strict=True) if kind]
         there = (len(self.numbers) - self.place) // place if place else 0
         if there < element.count and not listed:
             raise _truncation_error(element, there)
@@ -244,9 +239,9 @@ class _PlyText:
         counts: list[list[int]] = [[] for _ in element.properties]
         place = self.place
         for item in range(element.count):
-            for k, prop in enumerate(element.properties):
-                length = self._length(place) if prop.count_type else 1
-                place += bool(prop.count_type)
+            for k, (_, _, count_type) in enumerate(element.properties):
+                length = self._length(place) if count_type else 1
+                place += bool(count_type)
                 if place + length > len(self.numbers):
                     raise _truncation_error(element, item)
                 counts[k].append(length)
@@ -262,7 +257,8 @@ def _pair_starts(starts: list[tuple[int, int]], element: _Element) -> zip[tuple[
 
 
 def _cast(numbers: Array, prop: _Property) -> Array:
-    return numbers if prop.type.startswith("f") else numbers.astype(np.int64)
+    _, number_type, _ = prop
+    return numbers if number_type.startswith("f") else numbers.astype(np.int64)
 
 
 def _empty_columns(element: _Element) -> tuple[list[Array], list[Array]]:

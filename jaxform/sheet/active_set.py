@@ -80,15 +80,15 @@ def inactive_elements(
     """The elements that are not packed, of a sheet with nodes at positions (3, n_node) [m]."""
     whole = discrete.whole
     elements, element = whole.elements, whole.element
-    own = discrete.of_elements(element)
+    thickness, _, varying = discrete.of_elements(element)
     return InactiveElements(
         element=element,
         counted=(elements.area > 0.0) & ~packed.kept[element],
         stress=memory[:, element],
         strained=strain_state(*element_metrics(positions, elements)),
-        volume=elements.area * own.thickness,
+        volume=elements.area * thickness,
         since=time,
-        modes=own.modes or modes,
+        modes=varying or modes,
     )
 
 
@@ -278,9 +278,9 @@ def totals_of(
 ) -> tuple[jax.Array, jax.Array]:
     """Energy [J] and volume [m^3] of the counted elements (room,), in the whole set's order; not differentiable."""
     whole, memory = discrete.whole, state.memory
-    own = discrete.with_zones(state.heat, scene.material).of_elements(whole.element)
+    thickness, zones, modes = discrete.with_zones(state.heat, scene.material).of_elements(whole.element)
     rows = None if memory is None else memory[:, whole.element]
-    fixed = state.nodes.positions, whole.elements, own.thickness, own.law(scene.material), rows
+    fixed = state.nodes.positions, whole.elements, thickness, element_law(scene.material, zones, modes), rows
     return element_energy(*jax.lax.stop_gradient(fixed), counted)
 
 
@@ -332,16 +332,16 @@ def _add_cooling(active: ActiveSet, state: State, discrete: Discretization) -> A
 
 
 def _add_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:
-    own = discrete.of_elements(packed.element)
+    thickness, zones, modes = discrete.of_elements(packed.element)
     return ActiveSet(
         packed=packed,
-        thickness=own.thickness,
-        zones=own.zones,
-        modes=own.modes,
+        thickness=thickness,
+        zones=zones,
+        modes=modes,
         bound=discrete.bound[packed.element],
         mass=packed.pack(discrete.mass),
         compliance=packed.pack(discrete.compliance),
-        substance=jax.lax.stop_gradient(total(packed.elements.area * own.thickness)),
+        substance=jax.lax.stop_gradient(total(packed.elements.area * thickness)),
         idle_volume=idle_volume,
         idle_energy=idle_energy,
     )

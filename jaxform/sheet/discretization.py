@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -53,18 +52,6 @@ class RefinedMesh:
         """The element with each half edge, where that is known."""
         assert self.side is not None
         return self.side
-
-
-class ElementProperties(NamedTuple):
-    """Element properties: initial thickness (n,) [m], varying material parameters (..., n) and varying modes."""
-
-    thickness: jax.Array
-    zones: dict[str, jax.Array]
-    modes: Modes | None
-
-    def law(self, material: Law) -> Law:
-        """Their law, of a scene with this one."""
-        return element_law(material, self.zones, self.modes)
 
 
 def element_law(material: Law, zones: dict[str, jax.Array], modes: Modes | None) -> Law:
@@ -123,10 +110,14 @@ class Discretization:
         assert self.volumes is not None
         return self.volumes, self.forest_zones, self.forest_temperature
 
-    def of_elements(self, element: jax.Array) -> ElementProperties:
-        """The properties of the elements with these numbers (n,)."""
+    def of_elements(self, element: jax.Array) -> tuple[jax.Array, dict[str, jax.Array], Modes | None]:
+        """The properties of the elements with these numbers (n,).
+
+        Returns:
+            Initial thickness (n,) [m], varying material parameters (..., n), and varying modes; None of others.
+        """
         zones, modes = jax.tree.map(lambda own: own[..., element], (self.zones, self.modes))
-        return ElementProperties(self.thickness[element], zones, modes)
+        return self.thickness[element], zones, modes
 
 
 def discretize(scene: Scene) -> Discretization:

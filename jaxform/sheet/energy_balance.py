@@ -36,9 +36,9 @@ def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.A
         return energy
     elements = whole.elements
     now = strain_state(*element_metrics(whole.pack(state.nodes.positions), elements))
-    own = discrete.of_elements(whole.element)
-    found = (own.modes or modes).energy(split_modes(state.memory[:, whole.element]), now)
-    volume = elements.area * own.thickness
+    thickness, _, varying = discrete.of_elements(whole.element)
+    found = (varying or modes).energy(split_modes(state.memory[:, whole.element]), now)
+    volume = elements.area * thickness
     return energy + jnp.sum(jnp.where(elements.area > 0.0, volume * found, 0.0))
 
 

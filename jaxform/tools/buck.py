@@ -182,7 +182,8 @@ def _place_mold(surface: ViewedSurface, stand: _Stand, size: float, others: list
     level, share = view.edge_level(tolerance)
     ground = np.abs(view.height - level) <= tolerance
     body = view.inside & (view.height < level - tolerance)
-    lowest = float((surface.vertices @ view.turn[2]).max())
+    vertices, _, _ = surface
+    lowest = float((vertices @ view.turn[2]).max())
     on_platen = share >= opening.RIM and body.any() and ground.sum() >= _GROUND * view.inside.sum()
     # What is thick is the lower part of a stepped body.
     on_platen = bool(on_platen) and lowest - level <= _THICK * (level - float(view.height.min()))

@@ -41,31 +41,29 @@ class NearestPlaces(NamedTuple):
     at_rim: NDArray[np.bool_]
 
 
-class _TriangleGroup(NamedTuple):
-    """Pieces of triangles that are about as large: their middles, radii (n,) [m], and the triangles of all."""
+_TriangleGroup = tuple[Any, Array, NDArray[np.int64]]
+"""Pieces of triangles that are about as large: a tree of their middles, radii (n,) [m], and the triangles of all."""
 
-    tree: Any
-    radius: Array
-    owner: NDArray[np.int64]
 
-    def candidate_pairs(self, points: Array, limit: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Pairs of a point (n, 3) and a piece that may be no farther from it than its limit (n,) [m]."""
-        reach, wanted = (limit + self.radius.max()) * (1 + _TIE), min(_AT_FIRST, len(self.owner))
-        away, piece = self.tree.query(points, k=wanted, workers=_workers(points))
-        away, piece = away.reshape(-1, wanted), piece.reshape(-1, wanted)
-        more = (away[:, -1] <= reach) & (wanted < len(self.owner))
-        row, column = np.nonzero((away <= reach[:, None]) & ~more[:, None])
-        row, piece = [row], [piece[row, column]]
-        # Most points have few pieces in reach; around the others all of them are listed.
-        many = np.flatnonzero(more)
-        if len(many):
-            listed = self.tree.query_ball_point(points[many], reach[many], return_sorted=False, workers=_workers(many))
-            row.append(np.repeat(many, [len(one) for one in listed]))
-            piece.append(np.concatenate([np.asarray(one, np.int64) for one in listed]))
-        point, piece = np.concatenate(row), np.concatenate(piece)
-        away = np.linalg.norm(points[point] - self.tree.data[piece], axis=1)
-        near = away <= (limit[point] + self.radius[piece]) * (1 + _TIE)
-        return point[near], piece[near]
+def _candidate_pairs(group: _TriangleGroup, points: Array, limit: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of a point (n, 3) and a piece that may be no farther from it than its limit (n,) [m]."""
+    tree, radius, owner = group
+    reach, wanted = (limit + radius.max()) * (1 + _TIE), min(_AT_FIRST, len(owner))
+    away, piece = tree.query(points, k=wanted, workers=_workers(points))
+    away, piece = away.reshape(-1, wanted), piece.reshape(-1, wanted)
+    more = (away[:, -1] <= reach) & (wanted < len(owner))
+    row, column = np.nonzero((away <= reach[:, None]) & ~more[:, None])
+    row, piece = [row], [piece[row, column]]
+    # Most points have few pieces in reach; around the others all of them are listed.
+    many = np.flatnonzero(more)
+    if len(many):
+        listed = tree.query_ball_point(points[many], reach[many], return_sorted=False, workers=_workers(many))
+        row.append(np.repeat(many, [len(one) for one in listed]))
+        piece.append(np.concatenate([np.asarray(one, np.int64) for one in listed]))
+    point, piece = np.concatenate(row), np.concatenate(piece)
+    away = np.linalg.norm(points[point] - tree.data[piece], axis=1)
+    near = away <= (limit[point] + radius[piece]) * (1 + _TIE)
+    return point[near], piece[near]
 
 
 def _workers(points: NDArray[Any]) -> int:
@@ -81,7 +79,7 @@ def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_TriangleGroup]:
     radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1)
     kind = np.floor(np.log2(radius.max() / np.maximum(radius, 1e-3 * radius.max())) / 2).astype(int)
     rows = [np.flatnonzero(kind == k) for k in np.unique(kind)]
-    return [_TriangleGroup(KDTree(middle[row]), radius[row], owner[row]) for row in rows]
+    return [(KDTree(middle[row]), radius[row], owner[row]) for row in rows]
 
 
 class Distances:
@@ -112,8 +110,8 @@ class Distances:
     def _upper_bounds(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
         """Upper bounds (n,) [m] of distances, and the triangles (n,) that are so far away."""
         least, triangle = np.full(len(points), np.inf), np.zeros(len(points), np.int64)
-        for group in self.groups:
-            candidate = group.owner[np.asarray(group.tree.query(points, workers=_workers(points))[1])]
+        for tree, _, owner in self.groups:
+            candidate = owner[np.asarray(tree.query(points, workers=_workers(points))[1])]
             distance = self._distances(points, candidate)
             triangle = np.where(distance < least, candidate, triangle)
             least = np.minimum(least, distance)
@@ -219,8 +217,8 @@ class Distances:
         limit = np.minimum(bound, self.farthest) + _TIE * self.size
         for group in self.groups:
             for part in np.array_split(np.arange(len(points)), 1 + len(points) // _POINTS):
-                point, piece = group.candidate_pairs(points[part], limit[part])
-                keys.append(unique_ascending(part[point] * count + group.owner[piece]))
+                point, piece = _candidate_pairs(group, points[part], limit[part])
+                keys.append(unique_ascending(part[point] * count + group[2][piece]))
         key = unique_ascending(np.concatenate(keys))
         return key // count, key % count
 

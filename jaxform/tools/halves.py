@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +14,16 @@ from jaxform.tools import footprint, opening
 _CUT = 0.1  # of the length of open rims, what lies in a plane in which the mold is cut
 
 
-class Plane(NamedTuple):
-    """A plane across an axis, 0 to 2 for x to z, at a place [m] along it."""
+Plane = tuple[int, float]
+"""A plane across an axis, 0 to 2 for x to z, at a place [m] along it."""
 
-    axis: int
-    level: float
 
-    def image(self, mesh: Mesh) -> Mesh:
-        """The mesh mirrored in the plane."""
-        positions = mesh.positions.copy()
-        positions[:, self.axis] = 2 * self.level - positions[:, self.axis]
-        return Mesh(positions, mesh.triangles[:, ::-1])
+def _mirror(mesh: Mesh, plane: Plane) -> Mesh:
+    """The mesh mirrored in a plane."""
+    axis, level = plane
+    positions = mesh.positions.copy()
+    positions[:, axis] = 2 * level - positions[:, axis]
+    return Mesh(positions, mesh.triangles[:, ::-1])
 
 
 Completion = tuple[Mesh, list[Plane]]
@@ -73,8 +71,9 @@ class _Lines:
 
     def _lines_in_plane(self, plane: Plane, edges: NDArray[np.floating]) -> NDArray[np.floating]:
         """Those of edges (n, 2, 3) [m] that are in the plane (k, 2, 2), without the coordinate across it."""
-        there = (np.abs(edges[..., plane.axis] - plane.level) <= self._tolerance).all(1)
-        return np.delete(edges[there], plane.axis, axis=2)
+        axis, level = plane
+        there = (np.abs(edges[..., axis] - level) <= self._tolerance).all(1)
+        return np.delete(edges[there], axis, axis=2)
 
 
 def find_completion(mold: Mesh) -> Completion | None:
@@ -92,13 +91,13 @@ def find_completion(mold: Mesh) -> Completion | None:
         return None
     used = mold.positions[np.unique(mold.triangles)]
     lines = _Lines(mold)
-    sides = [Plane(axis, float(end[axis])) for end in (used.min(0), used.max(0)) for axis in range(3)]
+    sides = [(axis, float(end[axis])) for end in (used.min(0), used.max(0)) for axis in range(3)]
     sides = [side for side in sides if lines.allow_plane(side)]
-    pairs = [pair for pair in itertools.combinations(sides, 2) if pair[0].axis != pair[1].axis]
+    pairs = [pair for pair in itertools.combinations(sides, 2) if pair[0][0] != pair[1][0]]
     for planes in [*((side,) for side in sides), *pairs]:
         images: list[Mesh] = []
         for plane in planes:
-            images += [plane.image(part) for part in [mold, *images]]
+            images += [_mirror(part, plane) for part in [mold, *images]]
         whole = meshes.merge([mold, *images])
         whole = footprint.weld_mold(whole.positions, whole.triangles)
         if opening.is_rimmed(whole.positions, whole.triangles) and _is_closed_by(whole):

@@ -67,26 +67,13 @@ class Heights:
         return masks.local_minimum(self.height, _RIM)
 
 
-@dataclass(frozen=True)
-class ViewedSurface:
-    """A surface to be viewed.
-
-    Attributes:
-        vertices: Positions (n, 3) [m].
-        triangles: Vertex numbers (m, 3).
-        edges: Its rims and sharp edges (k, 2, 3) [m].
-    """
-
-    vertices: Array
-    triangles: NDArray[np.integer]
-    edges: Array
+ViewedSurface = tuple[Array, NDArray[np.integer], Array]
+"""A surface to be viewed: vertices (n, 3) [m], triangles (m, 3), and its rims and sharp edges (k, 2, 3) [m]."""
 
 
 def make_viewed_surface(vertices: Array, triangles: NDArray[np.integer]) -> ViewedSurface:
     """A surface (n, 3) [m], (m, 3), with its edges."""
-    return ViewedSurface(
-        vertices, triangles, np.asarray(topology.feature_edges(vertices, triangles, _ABRUPT), np.float64)
-    )
+    return vertices, triangles, np.asarray(topology.feature_edges(vertices, triangles, _ABRUPT), np.float64)
 
 
 def view_heights(looked_at: ViewedSurface, turn: Array, pixels: int) -> Heights:
@@ -97,17 +84,18 @@ def view_heights(looked_at: ViewedSurface, turn: Array, pixels: int) -> Heights:
         turn: Matrix (3, 3).
         pixels: Along the longer side.
     """
-    turned = looked_at.vertices @ turn.T
+    vertices, triangles, edges = looked_at
+    turned = vertices @ turn.T
     low, high = turned.min(0), turned.max(0)
     pixel = float((high - low)[:2].max()) / pixels
     first = low[:2] - 2.5 * pixel
     width, height = (int(np.ceil(extent / pixel)) + 5 for extent in (high - low)[:2])
     nearest = np.full(width * height, np.inf)
-    corners = turned[looked_at.triangles]
+    corners = turned[triangles]
     for _, covered, interpolate in raster.rasterize((corners[..., :2] - first) / pixel, width, height):
         np.minimum.at(nearest, covered, interpolate(corners[..., 2]))
     # Walls that stand upright, and rims, are in no pixel's middle.
-    points = topology.edge_points(looked_at.edges @ turn.T, pixel)
+    points = topology.edge_points(edges @ turn.T, pixel)
     column, row = np.floor((points[:, :2] - first) / pixel).astype(int).T
     np.minimum.at(nearest, row * width + column, points[:, 2])
     seen_there = nearest.reshape(height, width)

@@ -135,9 +135,7 @@ def opening_sides(
         The views of the most hollow side and of the one from which most stands out, and directions (3,) to other
         hollows.
     """
-    turns = (
-        _candidate_rotations(surface.vertices, surface.triangles) if direction is None else [rotation_to_z(-direction)]
-    )
+    turns = _candidate_rotations(*surface[:2]) if direction is None else [rotation_to_z(-direction)]
     outer = [_view_side(heights.view_heights(surface, turn, _COARSE), size) for turn in turns]
     inner = [_limit_to_rim(look, size) for look in outer]
     hollow = _first_best(_has_rim(inner), lambda look: look.hollow)

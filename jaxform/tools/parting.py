@@ -28,13 +28,13 @@ def find_parting_plane(shape: MoldShape) -> Plane:
     """
     edges = topology.boundary_edges(shape.triangles)
     used = shape.vertices[np.unique(shape.triangles)]
-    near, best = _FLAT * meshes.size(used), (0.0, Plane(0, 0.0))
+    near, best = _FLAT * meshes.size(used), (0.0, (0, 0.0))
     ends = shape.vertices[edges]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     for axis in range(3):
         for level in (used[:, axis].min(), used[:, axis].max()):
             there = (np.abs(ends[..., axis] - level) <= near).all(1)
-            best = max(best, (float(length[there].sum()), Plane(axis, float(level))), key=lambda each: each[0])
+            best = max(best, (float(length[there].sum()), (axis, float(level))), key=lambda each: each[0])
     if not len(edges) or best[0] < _RIM * length.sum():
         raise InputError(
             "needs a mold half that is open in a plane across x, y or z",
@@ -63,7 +63,7 @@ def add_land(shape: MoldShape, width: float) -> tuple[MoldShape, int]:
     import shapely  # takes a tenth of a second to import
 
     plane = find_parting_plane(shape)
-    across = [axis for axis in range(3) if axis != plane.axis]
+    across = [axis for axis in range(3) if axis != plane[0]]
     corners = shape.vertices[:, across]
     loops, openings = _outlines(shape, plane)
     cavity = shapely.Polygon()
@@ -91,7 +91,8 @@ def _outlines(shape: MoldShape, plane: Plane) -> tuple[list[NDArray[np.int64]], 
     """
     edges = topology.boundary_edges(shape.triangles)
     near = _FLAT * meshes.size(shape.vertices[np.unique(shape.triangles)])
-    there = (np.abs(shape.vertices[edges][..., plane.axis] - plane.level) <= near).all(1)
+    axis, level = plane
+    there = (np.abs(shape.vertices[edges][..., axis] - level) <= near).all(1)
     beside: dict[int, list[int]] = {}
     for one, other in edges[there].tolist():
         beside.setdefault(one, []).append(other)
@@ -131,7 +132,7 @@ def _before_opening(ends: Array, cavity, far: float):
 
 def _join(shape: MoldShape, plane: Plane, flat: Array) -> tuple[MoldShape, int]:
     """The mold with triangles (n, 3, 2) [m] in the plane, which share its vertices."""
-    places = np.insert(flat.reshape(-1, 2), plane.axis, plane.level, axis=1)
+    places = np.insert(flat.reshape(-1, 2), *plane, axis=1)
     vertices = np.concatenate([shape.vertices, places])
     triangles = len(shape.vertices) + np.arange(len(places)).reshape(-1, 3)
     _, index = np.unique(vertices, axis=0, return_inverse=True)

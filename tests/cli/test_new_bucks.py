@@ -13,7 +13,7 @@ import trimesh
 import jaxform
 from jaxform.cli import command
 from jaxform.io import files, scene_wizard, unit_checks
-from jaxform.io.scene_choices import VACUUM, UserChoices
+from jaxform.io.scene_choices import VACUUM
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.results.summary import summarize
@@ -117,10 +117,9 @@ def test_what_is_asked_for_counts(tmp_path, capfd):
 def test_a_vacuum_has_a_limit_and_says_what_it_fills(tmp_path, capfd):
     """T = 2 c h (1 + alpha stretch^2); corners are filled down to r = 2 T / p."""
     mold = write(tmp_path / "part.stl", BUCKS["cylinder"])
-    thick = UserChoices(thickness=0.01)
     vacuum, air = (
-        scene_wizard.draft([mold], thick),
-        scene_wizard.draft([mold], UserChoices(thickness=0.01, process="pressure")),
+        scene_wizard.draft([mold], thickness=0.01),
+        scene_wizard.draft([mold], thickness=0.01, process="pressure"),
     )
     assert vacuum.pressure == VACUUM and vacuum.limited
     assert air.pressure > 2 * VACUUM and not air.limited
@@ -173,8 +172,8 @@ def test_a_scan_with_holes_and_a_rough_rim_is_closed(tmp_path, capfd):
     ],
 )
 def test_units(box, name, others):
-    found = unit_checks.guess_units(np.array(box))
-    assert found.name == name and all(f"--scale {other}" in found.others + " " for other in others)
+    _, found, told = unit_checks.guess_units(np.array(box))
+    assert found == name and all(f"--scale {other}" in told + " " for other in others)
 
 
 def test_the_docs_example_of_a_motion_drapes(tmp_path):

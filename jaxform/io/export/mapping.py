@@ -55,17 +55,10 @@ class Coverage(NamedTuple):
         )
 
 
-class _Samples(NamedTuple):
-    """Places on a surface with the area [m^2] that each stands for, and where they are on another one."""
-
-    triangle: NDArray[np.int64]
-    weight: Array
-    area: Array
-    found: NearestPlaces
-
-    def is_covered(self, reach: float, size: float) -> NDArray[np.bool_]:
-        beside = self.found.at_rim & (self.found.distance > _ON_RIM * size)
-        return (self.found.distance <= reach) & ~beside
+def lies_within(found: NearestPlaces, reach: float, size: float) -> NDArray[np.bool_]:
+    """Places (n,) that are no farther than a reach [m] from a surface of a size [m], and not beyond its open rim."""
+    beside = found.at_rim & (found.distance > _ON_RIM * size)
+    return (found.distance <= reach) & ~beside
 
 
 def read_target(path: Path, scale: float) -> Mesh:
@@ -107,25 +100,29 @@ def map_wall(wall: WallSurface, mesh: Mesh, name: str) -> tuple[WallSurface, Cov
     _check_size(size, mesh, name)
     reach = FARTHEST * size
     part = Mesh(wall.positions, wall.triangles.astype(np.int32))
-    here, there = _sample_surface(mesh, part, reach, size), _sample_surface(part, mesh, reach, size)
-    on, used = here.is_covered(reach, size), there.is_covered(reach, size)
-    share = float(here.area[on].sum() / here.area.sum())
+    owner, places, area = _sample_surface(mesh, part, size)
+    part_owner, part_places, part_area = _sample_surface(part, mesh, size)
+    on_part, on_mesh = _nearest(part, places, reach), _nearest(mesh, part_places, reach)
+    on, used = lies_within(on_part, reach, size), lies_within(on_mesh, reach, size)
+    share = float(area[on].sum() / area.sum())
     if share < _LEAST_SHARE or not used.any():
         raise InputError(
             _no_overlap_message(wall, mesh, reach), "move or scale the mesh to where the part is", "--onto", name
         )
-    mapped = _transfer_wall(wall, mesh, here, reach)
-    volumes = there.area * interpolate(wall.thickness, wall.triangles, there.triangle, there.weight)
+    mapped = _transfer_wall(wall, mesh, owner, area, on_part, reach)
+    weight = weights(part_places, wall.positions[wall.triangles[part_owner]])
+    volumes = part_area * interpolate(wall.thickness, wall.triangles, part_owner, weight)
     volume = float(volumes[used].sum())
-    before = float(here.area[on] @ interpolate(mapped.thickness, mesh.triangles, here.triangle, here.weight)[on])
+    weight = weights(places, mesh.positions[mesh.triangles[owner]])
+    before = float(area[on] @ interpolate(mapped.thickness, mesh.triangles, owner, weight)[on])
     coverage = Coverage(
         share,
         volume / float(volumes.sum()),
-        float(here.found.distance.max()),
+        float(on_part.distance.max()),
         volume / before,
         volume,
     )
-    _warn_of_coverage(coverage, float(here.area[on].sum() / there.area[used].sum()), wall, reach, name)
+    _warn_of_coverage(coverage, float(area[on].sum() / part_area[used].sum()), wall, reach, name)
     mapped = replace(
         mapped,
         thickness=coverage.scaled * mapped.thickness,
@@ -135,16 +132,18 @@ def map_wall(wall: WallSurface, mesh: Mesh, name: str) -> tuple[WallSurface, Cov
     return mapped, coverage
 
 
-def _sample_surface(surface: Mesh, other: Mesh, reach: float, size: float) -> _Samples:
-    """Places all over a surface, as close as the elements of the finer one, and where they are on the other."""
+def _sample_surface(surface: Mesh, other: Mesh, size: float) -> tuple[NDArray[np.int64], Array, Array]:
+    """Places all over a surface, as close as the elements of the finer one.
+
+    Returns:
+        The triangle of each place (n,), the places (n, 3) [m], and the areas (n,) [m^2] that they stand for.
+    """
     area = float(areas(surface.positions, surface.triangles).sum())
     sides = [np.linalg.norm(np.diff(one.positions[one.triangles[:, :2]], axis=1), axis=2) for one in (surface, other)]
     longest = max(0.5 * min(float(np.median(side)) for side in sides), size / _FINEST, (area / _MOST) ** 0.5)
     pieces, owner = split_long_triangles(surface.positions[surface.triangles], longest)
-    middle = pieces.mean(1)
     doubled = np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
-    weight = weights(middle, surface.positions[surface.triangles[owner]])
-    return _Samples(owner, weight, 0.5 * doubled, _nearest(other, middle, reach))
+    return owner, pieces.mean(1), 0.5 * doubled
 
 
 def _nearest(surface: Mesh, points: Array, reach: float) -> NearestPlaces:
@@ -154,16 +153,26 @@ def _nearest(surface: Mesh, points: Array, reach: float) -> NearestPlaces:
     return NearestPlaces(*(np.concatenate(values) for values in zip(*found, strict=True)))
 
 
-def _transfer_wall(wall: WallSurface, mesh: Mesh, samples: _Samples, reach: float) -> WallSurface:
-    """The wall with the mesh's nodes, each triangle as thick as its samples are on average."""
+def _transfer_wall(
+    wall: WallSurface, mesh: Mesh, owner: NDArray[np.int64], area: Array, found: NearestPlaces, reach: float
+) -> WallSurface:
+    """The wall with the mesh's nodes, each triangle as thick as its samples are on average.
+
+    Args:
+        wall: Wall of the part.
+        mesh: The mesh.
+        owner: The mesh's triangle of each sample (n,).
+        area: The area that each stands for (n,) [m^2].
+        found: The nearest places of the part.
+        reach: Distance [m] to which distances are exact.
+    """
     nodes = _nearest(Mesh(wall.positions, wall.triangles.astype(np.int32)), mesh.positions, reach)
     weight = weights(nodes.place, wall.positions[wall.triangles[nodes.triangle]])
     nodal = interpolate(wall.thickness, wall.triangles, nodes.triangle, weight)
-    found = samples.found
     there = weights(found.place, wall.positions[wall.triangles[found.triangle]])
-    thick = samples.area * interpolate(wall.thickness, wall.triangles, found.triangle, there)
+    thick = area * interpolate(wall.thickness, wall.triangles, found.triangle, there)
     count = len(mesh.triangles)
-    elements = np.bincount(samples.triangle, thick, count) / areas(mesh.positions, mesh.triangles)
+    elements = np.bincount(owner, thick, count) / areas(mesh.positions, mesh.triangles)
     return WallSurface(
         mesh.positions,
         mesh.triangles,
