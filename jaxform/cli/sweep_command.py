@@ -121,10 +121,10 @@ def _task(arguments: argparse.Namespace) -> _Task:
     source, scene = arguments.source, arguments.scene
     study = None
     if str(source).endswith(".toml") or source in catalog.built_in("study"):
-        study = designs.read_sweep(source)
-        table, base = study.rows, None
+        study, named, table = designs.read_sweep(source)
+        base = None
         if scene is None:
-            scene, base = study.model.scene, study.folder
+            scene, base = named, study[1]
     else:
         table, base = designs.read_table(source), None
     about = arguments.dtype

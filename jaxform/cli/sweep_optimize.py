@@ -15,7 +15,6 @@ from jaxform.io import output, scene_rewriting, schema
 from jaxform.io.files import SceneDocument, StudyDocument
 from jaxform.io.validation import validate
 from jaxform.sweeps import evaluation
-from jaxform.sweeps.designs import SweepStudy
 from jaxform.sweeps.engine import OK, Outcome
 from jaxform.sweeps.evaluation import Setting
 
@@ -24,7 +23,7 @@ MEASURES = {"objective": "", "thickness_rms_error": "", "violation": "", "simula
 _SEARCH = ("variable", "objective", "solver")
 
 
-def search_of(study: SweepStudy | None, source: str) -> tuple[str, Path, dict[str, Any]]:
+def search_of(study: tuple[str, Path, dict[str, Any]] | None, source: str) -> tuple[str, Path, dict[str, Any]]:
     """The search that a study describes, for scenes of a sweep.
 
     Returns:
@@ -36,9 +35,10 @@ def search_of(study: SweepStudy | None, source: str) -> tuple[str, Path, dict[st
     if study is None:
         remedy = "name the table in a study (sweep.table), with variables, an objective and a solver"
         raise InputError("is a table, which has no objective for --optimize", remedy, value=source)
-    data = {key: value for key, value in study.data.items() if key != "sweep"}
-    validate(schema.StudyFile, {"scene": "any", **data}, study.file)
-    return study.file, study.folder, data
+    file, folder, tables = study
+    data = {key: value for key, value in tables.items() if key != "sweep"}
+    validate(schema.StudyFile, {"scene": "any", **data}, file)
+    return file, folder, data
 
 
 def search_digest(data: dict[str, Any]) -> str:
@@ -55,11 +55,11 @@ def optimize_design(task: tuple[SceneDocument, Setting, tuple[str, Path, dict[st
     """
     document, setting, (file, base, data) = task
     before, warned = evaluation.compiled(), []
-    worker = evaluation.set_up(setting)
+    worker = store, _ = evaluation.set_up(setting)
     model = validate(schema.StudyFile, {"scene": document.name, **data}, file)
     with evaluation.compile_once(worker, search_digest(data)), evaluation.tell_warnings(warned.append):
         began = time.perf_counter()
-        study = optimize.build_study(StudyDocument(file, base, data, model, document), worker.store)
+        study = optimize.build_study(StudyDocument(file, base, data, model, document), store)
         with tempfile.TemporaryDirectory(prefix="jaxform-") as name:
             folder = Path(name)
             design = optimize.solve(study, on_warning=warned.append)

@@ -20,7 +20,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -48,20 +48,8 @@ _MOST_PROGRAMS = 64  # compiled, in memory; the first made go first
 PACKAGE = Path(__file__).parents[1]
 
 
-class PendingProgram(NamedTuple):
-    """A function that is being compiled, or has been.
-
-    Attributes:
-        shapes: Of its results: a tree with shapes and types.
-        future: Gives the compiled function.
-    """
-
-    shapes: Any
-    future: Future[Callable[..., Any]]
-
-    def ready(self) -> Callable[..., Any]:
-        """The compiled function; waits for it."""
-        return self.future.result()
+PendingProgram = tuple[Any, Future[Callable[..., Any]]]
+"""A function that is being compiled, or has been: a tree with shapes and types of its results, and its future."""
 
 
 class Store:
@@ -123,7 +111,7 @@ class Store:
             function: Jitted; it depends on its arguments only.
             arguments: Pytrees of arrays; the structure, shapes and types count, not the values.
         """
-        return self.start_program(function, *arguments).ready()
+        return self.start_program(function, *arguments)[1].result()
 
     def has_program(self, function: Any, *arguments: Any) -> bool:
         """True where a program is available, in memory or in a file."""
@@ -222,12 +210,12 @@ class Store:
                 _compile_into(done, function, arguments)
 
         loading.add_done_callback(forward_result)
-        return PendingProgram(shapes, done)
+        return shapes, done
 
     def _start_compiling(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> PendingProgram:
         """A program that is being compiled, and then written into its file where it has one."""
         if path is None:
-            return PendingProgram(*start_compiling(function, *arguments))
+            return start_compiling(function, *arguments)
         lock = contextlib.ExitStack()
         if self.shared:
             lock.enter_context(disk.exclusive(path.parents[1], path.name))
@@ -247,7 +235,7 @@ class Store:
             lock.close()
             raise
         begun[1].add_done_callback(lambda _: lock.close())
-        return PendingProgram(*begun)
+        return begun
 
     def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
         if self.folder is None:

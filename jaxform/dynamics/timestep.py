@@ -43,12 +43,8 @@ LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could 
 _MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness that grows
 
 
-class StepLimit(NamedTuple):
-    """Limit of the stable step and the mode that gave it, kept for the next window; as in `State`."""
-
-    mode: jax.Array | None
-    bound: jax.Array
-    sharpness: jax.Array
+StepLimit = tuple[jax.Array | None, jax.Array, jax.Array]
+"""What is kept of the limit of the stable step for the next window: `mode`, `bound` and `sharpness` as in `State`."""
 
 
 class StepChoice(NamedTuple):
@@ -119,7 +115,7 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
     """
     bound, begin = element_step_bound(state, scene, active), state.nodes.mode
     if begin is None:
-        return bound, StepLimit(None, bound, state.control.sharpness), active.workspace
+        return bound, (None, bound, state.control.sharpness), active.workspace
 
     def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[Corners, jax.Array]]) -> Any:
         thorough = found[2]
@@ -148,7 +144,7 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
     growth = (sharpness * bound / before) ** jnp.where(state.control.last_count > 0, windows, 1.0)
     growth = jnp.where(known, jnp.clip(growth, _MOST_GROWTH, 1.0), 1.0)
     room = None if room is None else dataclasses.replace(room, corners=corners, basis=basis)
-    return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, StepLimit(mode, bound, sharpness), room
+    return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, (mode, bound, sharpness), room
 
 
 def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:

@@ -26,7 +26,6 @@ from jaxform.dynamics.step import finalize_history, step
 from jaxform.dynamics.timestep import (
     RUNGS_PER_OCTAVE,
     StepChoice,
-    StepLimit,
     allocate_basis,
     choose_step,
     element_step_bound,
@@ -117,13 +116,13 @@ def _step_window(
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[PackedState, WindowState, Workspace | None]:
-    (length, most, limit, room), row = decisions
+    (length, most, (mode, bound, sharpness), room), row = decisions
     modes = active.viscous(scene.material)
     now = WindowData(
         active=active,
         begin=state.time,
         length=length,
-        bound=limit.bound,
+        bound=bound,
         max_count=most,
         row=row,
         always_check=state.control.last_count == 0,
@@ -142,8 +141,8 @@ def _step_window(
     moving = finalize_history(moving, scene, now)
     found = dataclasses.replace(
         state,
-        nodes=dataclasses.replace(state.nodes, mode=limit.mode),
-        control=dataclasses.replace(state.control, sharpness=limit.sharpness),
+        nodes=dataclasses.replace(state.nodes, mode=mode),
+        control=dataclasses.replace(state.control, sharpness=sharpness),
     )
     end, corners = end_of_window_energy(moving, scene, now)
     if room is not None:
@@ -268,7 +267,7 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
         even = left / jnp.maximum(steps, 1)
         own = jnp.where(fresh, jnp.minimum(length, even), even)
         most = jnp.clip(steps, 1, max_step_count(own, scene))
-        limit = StepLimit(state.nodes.mode, bound, state.control.sharpness)
+        limit = state.nodes.mode, bound, state.control.sharpness
         return StepChoice(own, most, limit), (row, left)
 
     def beyond_schedule(*now: Any) -> _Decisions:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -53,10 +53,10 @@ class Ogden(PlaneLaw):
         """Strain energy per reference volume [J/m^3], of the shape of both."""
         plane, total = _PlaneStretches(trace, determinant), jnp.zeros_like(trace)
         for mu, alpha in zip(self.mu, self.alpha, strict=True):
-            power = plane.to_power(0.5 * alpha)
+            area, thickness, cosine_before, sines_before = plane.to_power(0.5 * alpha)
             # As above, of cosh(p y).
-            cosine = power.cosine_before * plane.cosine + power.sines_before * plane.sine_squared
-            total += mu / alpha * (2.0 * power.area * cosine + jnp.square(power.thickness) - 3.0)
+            cosine = cosine_before * plane.cosine + sines_before * plane.sine_squared
+            total += mu / alpha * (2.0 * area * cosine + jnp.square(thickness) - 3.0)
         return total
 
     def slopes(self, trace: jax.Array, determinant: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -260,23 +260,15 @@ def _smooth_slopes(
     plane = _PlaneStretches(trace, determinant)
     by_trace, by_determinant = jnp.zeros_like(trace), jnp.zeros_like(trace)
     for modulus, exponent in zip(mu, alpha, strict=True):
-        power, half = plane.to_power(0.5 * exponent), 0.5 * modulus
+        area, thickness, cosine_before, sines_before = plane.to_power(0.5 * exponent)
+        half = 0.5 * modulus
         # sinh(p y) = sinh((p - 1) y) cosh(y) + cosh((p - 1) y) sinh(y).
-        sines = power.sines_before * plane.cosine + power.cosine_before
+        sines = sines_before * plane.cosine + cosine_before
         # Else all of it would be computed for each of the two again.
-        first = half * power.area * sines
-        second = half * (power.area * power.sines_before + jnp.square(power.thickness))
+        first = half * area * sines
+        second = half * (area * sines_before + jnp.square(thickness))
         by_trace, by_determinant = materialize((by_trace + first, by_determinant - second))
     return by_trace * plane.thickness, by_determinant * jnp.square(plane.thickness)
-
-
-class _StretchPowers(NamedTuple):
-    """Powers p of stretches: (l1 l2)^p and (l1 l2)^-p; cosh((p - 1) y), and sinh((p - 1) y) / sinh(y)."""
-
-    area: jax.Array
-    thickness: jax.Array
-    cosine_before: jax.Array
-    sines_before: jax.Array
 
 
 class _PlaneStretches:
@@ -299,11 +291,11 @@ class _PlaneStretches:
         self._log_area, self._angle = logs
         self.cosine, self._stretch = 1.0 + self.excess, stretch
 
-    def to_power(self, power: jax.Array) -> _StretchPowers:
-        """Their power."""
+    def to_power(self, power: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """Powers p of the stretches: (l1 l2)^p and (l1 l2)^-p; cosh((p - 1) y), and sinh((p - 1) y) / sinh(y)."""
         area, growth = materialize((jnp.exp(power * self._log_area), jnp.exp(power * self._angle)))
         inverse = 1.0 / (area * growth)
         before, after = growth * self._shrink, inverse * area * self._stretch  # exp((p - 1) y), and its inverse
         sines = jnp.where(self._alike, _series(power - 1.0, self.excess)[0], (before - after) * self._half_sine)
         sines = materialize(sines)
-        return _StretchPowers(area, inverse * growth, jnp.sqrt(1.0 + jnp.square(sines) * self.sine_squared), sines)
+        return area, inverse * growth, jnp.sqrt(1.0 + jnp.square(sines) * self.sine_squared), sines

@@ -18,8 +18,8 @@ from jaxform.core import disk
 from jaxform.core.errors import InputError, InputWarning
 from jaxform.mesh import abaqus, facets, gmsh, legacy_vtk, nastran, ply
 from jaxform.mesh.facets import Faces
+from jaxform.mesh.meshes import REEXPORT
 
-ENDINGS = (".stl", ".obj", ".ply", ".off", ".vtk", ".vtu", ".msh")
 FURTHER = (".inp", ".bdf", ".nas", ".fem", ".mesh")
 """Endings of other programs' input files: Abaqus' and CalculiX', Nastran's and OptiStruct's, Medit's."""
 _GEOMETRY = (
@@ -27,13 +27,12 @@ _GEOMETRY = (
     *(".sldprt", ".sldasm", ".ipt", ".iam", ".catpart", ".catproduct", ".prt", ".par", ".fcstd", ".f3d"),
 )
 """Endings of what CAD programs write that is no mesh."""
-REEXPORT = "export it again as STL, OBJ, PLY, OFF, VTK, VTU or MSH"
 _ROOM, _ROOM_PER_BYTE = 500_000_000, 60  # of memory for meshio, beside what the process has
 _limiting = threading.Lock()
 
 
 def read_faces(path: Path, further: bool = False) -> Faces:
-    """The faces that a mesh file has, of one of `ENDINGS` or, on request, of `FURTHER`.
+    """The faces that a mesh file has, of one of `meshes.FORMATS` or, on request, of `FURTHER`.
 
     Raises:
         InputError: The file is missing, too large, or no mesh of the format of its ending.

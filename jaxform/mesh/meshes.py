@@ -13,15 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import facets, formats, topology
+from jaxform.mesh import topology
 from jaxform.mesh.rows import distinct_rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-FORMATS = formats.ENDINGS
+FORMATS = (".stl", ".obj", ".ply", ".off", ".vtk", ".vtu", ".msh")
 WELD_TOLERANCE = 1e-9
 """Distance below which nodes are one, relative to the diagonal of the bounding box."""
+REEXPORT = "export it again as STL, OBJ, PLY, OFF, VTK, VTU or MSH"
+"""The remedy for a file that cannot be read."""
 REFERENCE = ("reference.x", "reference.y", "reference.z")
 """Fields of a mesh that was formed, as the components of its point data `reference`: initial positions [m]."""
 DEGENERATE_HEIGHT = 1e-6
@@ -66,6 +68,8 @@ def read_mesh(path: str | Path, *, scale: float = 1.0, further: bool = False) ->
         InputError: The file is missing or no mesh, has no triangles, coordinates that are not finite or of no
             possible size, or triangles of nodes that do not exist.
     """
+    from jaxform.mesh import facets, formats  # readers of all formats, which only files need
+
     if not (np.isreal(scale) and np.isfinite(scale) and scale > 0):
         raise InputError("is not a positive number", "give the metres per unit of the file", key="scale", value=scale)
     path = Path(path)
@@ -74,7 +78,7 @@ def read_mesh(path: str | Path, *, scale: float = 1.0, further: bool = False) ->
     if not (faces.counts >= 3).any():
         raise replace(facets.missing_surface_error(solid=False), value=str(path))
     if faces.corners.size and (faces.corners.min() < 0 or faces.corners.max() >= count):
-        raise InputError("has triangles of nodes that do not exist", formats.REEXPORT, value=str(path))
+        raise InputError("has triangles of nodes that do not exist", REEXPORT, value=str(path))
     positions = _finite(path, faces.points, np.unique(faces.corners), float(scale))
     try:
         triangles, owner = split(positions, faces.corners, faces.counts)
@@ -260,7 +264,7 @@ def _finite(path: Path, points: Any, used: NDArray[np.int64], scale: float) -> N
     found = positions[used]
     if not np.isfinite(found).all():
         node = int(used[~np.isfinite(found).all(axis=1)][0])
-        raise InputError(f"has coordinates that are not finite (node {node})", formats.REEXPORT, value=value)
+        raise InputError(f"has coordinates that are not finite (node {node})", REEXPORT, value=value)
     largest, extent = float(np.abs(found).max()), size(found)
     if largest > LARGEST:
         problem = f"has coordinates of up to {largest:.3g} m"

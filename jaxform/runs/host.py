@@ -162,7 +162,7 @@ def _run(
             _record_pressure(pressures, state)
         if on_window is not None or contacts is not None:
             now = state, scene, first, taken
-            moment = _moment(state, scene, lambda now=now, made=result: room.result(made.ready()(*now, _GOING)))
+            moment = _moment(state, scene, lambda now=now, made=result: room.result(made[1].result()(*now, _GOING)))
             told = time.perf_counter()
             if contacts is not None and not done:
                 contacts.offer(moment)
@@ -175,7 +175,7 @@ def _run(
         if done:
             break
     paused = time.perf_counter()
-    made = result.ready()
+    made = result[1].result()
     compiling += time.perf_counter() - paused
     telling += time.perf_counter() - paused
     final = room.result(made(state, scene, first, taken, _LAST))

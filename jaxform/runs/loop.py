@@ -125,7 +125,7 @@ def _request_programs(scene: Scene, store: Store) -> tuple[PendingProgram, Pendi
     The longest is begun as soon as its arguments' shapes are known.
     """
     beginning = store.start_program(begin, scene)
-    state, first, taken = beginning.shapes
+    state, first, taken = beginning[0]
     return (
         beginning,
         store.start_program(advance, state, scene, first, taken, np.int32(1)),
@@ -141,8 +141,8 @@ def programs(
     PendingProgram,
 ]:
     """The compiled programs that begin a run and take windows, and the pending one that makes its result."""
-    beginning, advancing, ending = _request_programs(scene, store)
-    return beginning.ready(), advancing.ready(), ending
+    (_, beginning), (_, advancing), ending = _request_programs(scene, store)
+    return beginning.result(), advancing.result(), ending
 
 
 def select_bucket(scene: Scene, store: Store) -> Padded:
@@ -172,15 +172,15 @@ def _has_programs(scene: Scene, store: Store) -> bool:
     """True if all programs for a padded scene are compiled."""
     if not store.has_program(begin, scene):
         return False
-    state, first, taken = store.start_program(begin, scene).shapes
+    (state, first, taken), _ = store.start_program(begin, scene)
     ending = store.has_program(result_of, state, scene, first, taken, np.bool_(True))
     return ending and store.has_program(advance, state, scene, first, taken, np.int32(1))
 
 
 def compile_for(scene: Scene, store: Store, least: int = 0) -> None:
     """Compiles and stores the programs for scenes of a kind and bucket sizes, for at least `least` elements."""
-    for program in _request_programs(pad_to_bucket(scene, least, recorded=True).scene, store):
-        program.ready()
+    for _, program in _request_programs(pad_to_bucket(scene, least, recorded=True).scene, store):
+        program.result()
 
 
 def start_programs(scene: Scene, store: Store) -> None:

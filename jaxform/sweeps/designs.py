@@ -303,27 +303,12 @@ def _refuse(table: Rows, errors: list[InputError]) -> None:
     raise dataclasses.replace(first, file=table.file) if in_column else first
 
 
-@dataclasses.dataclass(frozen=True)
-class SweepStudy:
+def read_sweep(name_or_path: str | Path) -> tuple[tuple[str, Path, dict[str, Any]], str | None, Rows]:
     """A study file with a sweep.
 
-    Attributes:
-        file: Its name in messages.
-        folder: Base of relative paths in it.
-        data: Its tables, as they stand in the file.
-        model: The validated tables.
-        rows: The designs that it asks for.
-    """
-
-    file: str
-    folder: Path
-    data: dict[str, Any]
-    model: schema.SweepFile
-    rows: Rows
-
-
-def read_sweep(name_or_path: str | Path) -> SweepStudy:
-    """A study file with the designs that it asks for.
+    Returns:
+        Its name in messages, the base of relative paths in it and its tables; the scene that it names; and the designs
+        that it asks for.
 
     Raises:
         InputError: There is no such study, a key or value in it is wrong, or its table cannot be read.
@@ -339,7 +324,7 @@ def read_sweep(name_or_path: str | Path) -> SweepStudy:
             for column in columns:
                 parse_path(column)
             rows = Rows(file, folder, columns, sample(table))
-    return SweepStudy(file, folder, data, model, rows)
+    return (file, folder, data), model.scene, rows
 
 
 def name_scene(design: DesignRow) -> SceneDocument:

@@ -21,7 +21,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 
@@ -64,23 +64,15 @@ def worker_setting(shared: bool = True) -> Setting:
     return Setting(precision, None if folder is None else str(folder), this_process())
 
 
-class Worker(NamedTuple):
-    """The set-up of a worker process.
-
-    Attributes:
-        store: Search grids and programs that its machine's workers share.
-        folder: Folder of what they share; None where there is none.
-    """
-
-    store: Store
-    folder: Path | None
+Worker = tuple[Store, Path | None]
+"""Search grids and programs that a machine's workers share, and their folder; None where there is none."""
 
 
 @functools.cache
 def set_up(setting: Setting) -> Worker:
     """Sets the precision and the cache of a worker process, once; threads of the process that began are left alone."""
     if setting.client == this_process():
-        return Worker(IN_MEMORY, None)
+        return IN_MEMORY, None
     warnings.filterwarnings("ignore", message="jaxform computes in float32")
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
     jax.config.update("jax_enable_x64", setting.dtype == "float64")
@@ -96,7 +88,7 @@ def set_up(setting: Setting) -> Worker:
     IN_MEMORY.folder, IN_MEMORY.shared = None if folder is None else folder / disk.MADE, True
     with disk.exclusive(folder):
         IN_MEMORY.is_noted("first design", ())  # its name depends on what XLA knows, for which a program is compiled
-    return Worker(IN_MEMORY, folder)
+    return IN_MEMORY, folder
 
 
 def this_process() -> str:
@@ -133,15 +125,16 @@ def _kind(document: SceneDocument) -> str:
 @contextlib.contextmanager
 def compile_once(worker: Worker, *kind: str) -> Iterator[None]:
     """The first design of a kind is computed by one of a machine's workers alone: the others find its programs."""
-    known = functools.partial(worker.store.is_noted, "first design", kind)
+    store, folder = worker
+    known = functools.partial(store.is_noted, "first design", kind)
     with contextlib.ExitStack() as lock:
         if not known():
-            lock.enter_context(disk.exclusive(worker.folder))
+            lock.enter_context(disk.exclusive(folder))
             if known():
                 lock.close()
         yield
         if not known():
-            worker.store.note("first design", kind)
+            store.note("first design", kind)
 
 
 def _make_programs(scene: Scene, store: Store) -> float:
@@ -162,18 +155,18 @@ def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
     """
     document, setting = task
     before = compiled()
-    worker = set_up(setting)
+    worker = store, _ = set_up(setting)
     warned: list[str] = []
     with compile_once(worker, _kind(document)), tell_warnings(warned.append):
         began = time.perf_counter()
-        scene = files.build(document, worker.store)
-        began += _make_programs(scene, worker.store)
+        scene = files.build(document, store)
+        began += _make_programs(scene, store)
         with tempfile.TemporaryDirectory(prefix="jaxform-") as name:
             folder = Path(name)
             frames = output.Frames(folder, document.model.output.frames)
             frames.begin(scene)
             offer = (lambda moment: frames.offer(scene, moment)) if frames.count else None
-            result = run(scene, on_window=offer, store=worker.store)
+            result = run(scene, on_window=offer, store=store)
             summary = output.write_result(scene, result, folder, list(dict.fromkeys(warned)))
             frames.finish(scene, result)
             scene_rewriting.keep_scene(document, folder)
@@ -229,13 +222,13 @@ def pack_scene(scene: Scene) -> Scene | bytes:
 def call_function(task: tuple[Callable[[Scene], Any], Scene | SceneDocument | bytes, Setting]) -> Any:
     """What a function of a user's own gives for a scene, which is built here where it comes as a document."""
     function, given, setting = task
-    worker = set_up(setting)
+    worker = store, _ = set_up(setting)
     if isinstance(given, bytes):
         given = pickle.loads(given)
     name = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', repr(function))}"
     kind = _kind(given) if isinstance(given, SceneDocument) else ""
     with compile_once(worker, name, kind):
-        scene = files.build(given, worker.store) if isinstance(given, SceneDocument) else given
+        scene = files.build(given, store) if isinstance(given, SceneDocument) else given
         return function(scene)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.tools.crossings import contact_normals, nodal_normals, proper_crossings
-from jaxform.tools.distances import Distances
+from jaxform.tools.distances import Distances, NearestPlaces
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
 
@@ -84,12 +84,21 @@ def widest_gap(
     usual = float(np.linalg.norm(sheet - np.roll(sheet, 1, axis=1), axis=2).mean())
     distances = Distances(positions, triangles, _REACH * usual)
     back = _back_directions(positions, triangles, wall, push, corners[walls])
-    sight = _ViewedSheet(sheet, back[triangles], held, distances, mold, grid, counts)
-    best = NO_GAP
+    best, directions = NO_GAP, back[triangles]
 
     def measure(asked: NDArray[np.int64]) -> float:
         nonlocal best
-        best = max(best, sight.widest(places[asked]), key=lambda gap: gap.width)
+        near, there = distances.nearest(places[asked]), places[asked]
+        found = _places_before(near, there, directions, held)
+        # A place of an element may be beyond an edge of the mold; its nodes are not.
+        lift = _LIFT * near.distance[found, None, None] * directions[near.triangle[found]]
+        found = found[_sees(sheet[near.triangle[found]], lift, there[found], mold, grid).sum(1) >= 2]
+        if counts is not None and len(found):
+            found = found[counts(there[found])]
+        if len(found):
+            one = found[np.argmax(near.distance[found])]
+            gap = Gap(float(near.distance[one]), there[one], int(near.triangle[one]))
+            best = max(best, gap, key=lambda gap: gap.width)
         return best.width
 
     distances.search_largest(places, measure)
@@ -114,50 +123,36 @@ def _back_directions(positions: Array, triangles: Integers, wall: Integers, push
     return back
 
 
-@dataclass(frozen=True)
-class _ViewedSheet:
-    """Elements (n_element, 3, 3) [m] that look at the mold, which way is back at their nodes, and which are held."""
+def _places_before(near: NearestPlaces, places: Array, back: Array, held: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Those places of the mold (n, 3) [m] that lie before the elements nearest to them.
 
-    sheet: Array
-    back: Array
-    in_contact: NDArray[np.bool_]
-    distances: Distances
-    mold: Mold
-    grid: SearchGrid
-    counts: Callable[[Array], NDArray[np.bool_]] | None
+    Args:
+        near: The nearest places of the sheet.
+        places: The places of the mold.
+        back: Unit vectors (n_element, 3, 3) away from where the elements' nodes are pushed.
+        held: Elements (n_element,) before which nothing counts.
+    """
+    way = places - near.place
+    before = np.einsum("nkj,nj->n", back[near.triangle], way) < 0
+    before &= ~near.at_rim & ~held[near.triangle] & (near.distance > 0)
+    return np.flatnonzero(before)
 
-    def widest(self, places: Array) -> Gap:
-        """The widest of the gaps before places of the mold (n, 3) [m]."""
-        near = self.distances.nearest(places)
-        way, back = places - near.place, self.back[near.triangle]
-        before = np.einsum("nkj,nj->n", back, way) < 0
-        before &= ~near.at_rim & ~self.in_contact[near.triangle] & (near.distance > 0)
-        found = np.flatnonzero(before)
-        # A place of an element may be beyond an edge of the mold; its nodes are not.
-        lift = _LIFT * near.distance[found, None, None] * back[found]
-        found = found[self._sees(self.sheet[near.triangle[found]], lift, places[found]).sum(1) >= 2]
-        if self.counts is not None and len(found):
-            found = found[self.counts(places[found])]
-        if not len(found):
-            return NO_GAP
-        farthest = found[np.argmax(near.distance[found])]
-        return Gap(float(near.distance[farthest]), places[farthest], int(near.triangle[farthest]))
 
-    def _sees(self, nodes: Array, lift: Array, places: Array) -> NDArray[np.bool_]:
-        """Mask (n, 3) of the places (n, 3) [m] that are visible from eyes before nodes (n, 3, 3) [m]."""
-        eyes = nodes + lift
-        way = places[:, None] - eyes
-        seen = np.ones(eyes.shape[:2], bool)
-        # An eye that another wall parts from its node is in the mold. What is right before the eye hides most.
-        for begin, end in (
-            (nodes + _CLOSE * lift, eyes),
-            (eyes, eyes + _FIRST * way),
-            (eyes, eyes + (1 - _CLOSE) * way),
-        ):
-            row, eye = np.nonzero(seen)
-            hidden = proper_crossings(begin[row, eye], end[row, eye], self.mold, self.grid, margin=-_EDGE)[0]
-            seen[row[hidden], eye[hidden]] = False
-        return seen
+def _sees(nodes: Array, lift: Array, places: Array, mold: Mold, grid: SearchGrid) -> NDArray[np.bool_]:
+    """Mask (n, 3) of the places (n, 3) [m] that are visible from eyes before nodes (n, 3, 3) [m]."""
+    eyes = nodes + lift
+    way = places[:, None] - eyes
+    seen = np.ones(eyes.shape[:2], bool)
+    # An eye that another wall parts from its node is in the mold. What is right before the eye hides most.
+    for begin, end in (
+        (nodes + _CLOSE * lift, eyes),
+        (eyes, eyes + _FIRST * way),
+        (eyes, eyes + (1 - _CLOSE) * way),
+    ):
+        row, eye = np.nonzero(seen)
+        hidden = proper_crossings(begin[row, eye], end[row, eye], mold, grid, margin=-_EDGE)[0]
+        seen[row[hidden], eye[hidden]] = False
+    return seen
 
 
 # The surface of the mold that a nearly flat sheet meets first on its way along the push, and its depth.

@@ -111,9 +111,9 @@ def test_a_kept_program_is_neither_traced_nor_compiled_again(tmp_path: Path) -> 
         return {"twice": 2 * x}
 
     for _ in range(3):
-        soon = Store(tmp_path).start_program(double, x)
-        assert soon.shapes["twice"].shape == (3,) and soon.shapes["twice"].dtype == x.dtype
-        assert soon.ready()(x)["twice"].tolist() == [0.0, 2.0, 4.0]
+        shapes, soon = Store(tmp_path).start_program(double, x)
+        assert shapes["twice"].shape == (3,) and shapes["twice"].dtype == x.dtype
+        assert soon.result()(x)["twice"].tolist() == [0.0, 2.0, 4.0]
     assert traced == [(3,)] and len(list(tmp_path.iterdir())) == 1
 
 

@@ -285,9 +285,9 @@ def test_a_factorial_of_too_many_designs_is_refused() -> None:
 def test_a_study_names_a_table_or_variables(tmp_path: Path) -> None:
     _write(tmp_path, "material.c\n1e5\n2e5\n")
     (tmp_path / "study.toml").write_text('scene = "scene.toml"\n[sweep]\ntable = "table.csv"\n')
-    study = designs.read_sweep(tmp_path / "study.toml")
-    assert study.rows.rows == [{"material.c": 1e5}, {"material.c": 2e5}]
-    assert len(designs.make_designs(study.rows, study.model.scene, study.folder)) == 2
+    (_, folder, _), scene, rows = designs.read_sweep(tmp_path / "study.toml")
+    assert rows.rows == [{"material.c": 1e5}, {"material.c": 2e5}]
+    assert len(designs.make_designs(rows, scene, folder)) == 2
     (tmp_path / "study.toml").write_text('scene = "scene.toml"\n')
     with pytest.raises(jaxform.InputError, match="sweep: is missing"):
         designs.read_sweep(tmp_path / "study.toml")
