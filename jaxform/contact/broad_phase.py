@@ -9,7 +9,7 @@ it, and the window is retried without relying on checks.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,15 +23,12 @@ LOOK_EVERY = 4  # steps
 _AHEAD = 2.0  # times as far as a node goes at its speed until the next check: where it may be before that
 
 
-class BroadPhaseCheck(NamedTuple):
-    """The result of a check of the nodes.
+BroadPhaseCheck = tuple[jax.Array, jax.Array]
+"""The result of a check of the nodes.
 
-    Whether any can touch a listed triangle, or leave its sphere, before the next check, so that every step until then
-    selects pairs; and whether one may have touched the mold unchecked before this check.
-    """
-
-    close: jax.Array
-    missed: jax.Array
+Whether any can touch a listed triangle, or leave its sphere, before the next check, so that every step until then
+selects pairs; and whether one may have touched the mold unchecked before this check.
+"""
 
 
 DueBlocks = tuple[jax.Array, jax.Array]
@@ -40,7 +37,7 @@ DueBlocks = tuple[jax.Array, jax.Array]
 
 def initial_check() -> BroadPhaseCheck:
     """The check before the first one: every step selects pairs."""
-    return BroadPhaseCheck(jnp.asarray(True), jnp.asarray(False))
+    return jnp.asarray(True), jnp.asarray(False)
 
 
 def no_active_pairs(candidates: Candidates) -> tuple[DueBlocks, jax.Array]:
@@ -93,7 +90,7 @@ def check_nodes(
     )
     inputs = stuck, positions, velocities, spheres
     _, (close, touching) = over_blocks(work, node_block_count, inputs, [], sums=2)
-    return BroadPhaseCheck(close > 0, (touching > 0) & ~last.close)
+    return close > 0, (touching > 0) & ~last[0]
 
 
 def list_spheres(candidates: Candidates) -> tuple[jax.Array, ...]:
@@ -111,9 +108,8 @@ def may_have_missed(positions: Any, stuck: jax.Array, spheres: Any, last: BroadP
         last: Result of the last check.
     """
     start, clear_square, center, limit_square = spheres
-    return ~stuck & (
-        ~last.close & _has_moved(positions, start, clear_square) | _has_moved(positions, center, limit_square)
-    )
+    close, _ = last
+    return ~stuck & (~close & _has_moved(positions, start, clear_square) | _has_moved(positions, center, limit_square))
 
 
 def all_blocks(candidates: Candidates) -> DueBlocks:

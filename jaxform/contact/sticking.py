@@ -8,7 +8,8 @@ gradient is that of the time of impact.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -138,26 +139,18 @@ def encode_landing(wall: jax.Array, tool: jax.Array | None, surfaces: tuple[Cont
     return jnp.where(wall != 0, first + jnp.abs(wall) - 1, -1)
 
 
-class _NodePaths(NamedTuple):
-    """The nodes' paths in a step: positions at its end (3, n_node) [m], velocities [m/s], and its length [s].
+def _path_ends(nodes: Nodes, length: jax.Array, frame: ToolFrame | None, node: jax.Array) -> tuple[Vector, Vector]:
+    """Begin and end of nodes' (n,) paths in a step of a length [s], each three times (n,) [m].
 
-    Also the frame of the tool, in which the paths are computed; None where the tool rests.
+    They are in the frame of the tool, which is None where that rests; the nodes are at their ends.
     """
-
-    after: Any
-    velocities: jax.Array
-    length: jax.Array
-    frame: ToolFrame | None
-
-    def path_ends(self, node: jax.Array) -> tuple[Vector, Vector]:
-        """Begin and end of nodes' (n,) paths, each three times (n,) [m]."""
-        # The barriers keep the values that are looked up, and those computed from them, for all their uses.
-        looked_up = gather_columns(self.after, node), gather_columns(self.velocities, node)
-        after, velocities = materialize(looked_up)
-        if self.frame is not None:
-            after, velocities = materialize((self.frame.places(after), self.frame.speeds(velocities)))
-        x, y, z = (a - self.length * v for a, v in zip(after, velocities, strict=True))
-        return materialize((x, y, z)), after
+    # The barriers keep the values that are looked up, and those computed from them, for all their uses.
+    looked_up = gather_columns(nodes.positions, node), gather_columns(nodes.velocities, node)
+    after, velocities = materialize(looked_up)
+    if frame is not None:
+        after, velocities = materialize((frame.places(after), frame.speeds(velocities)))
+    x, y, z = (a - length * v for a, v in zip(after, velocities, strict=True))
+    return materialize((x, y, z)), after
 
 
 _LyingParts = tuple[jax.Array, jax.Array]
@@ -180,7 +173,7 @@ def _lying_parts(nodes: Nodes, number: int, surface: ContactSurface) -> _LyingPa
 
 def _block(
     number: jax.Array,
-    paths: _NodePaths,
+    path_ends: Callable[[jax.Array], tuple[Vector, Vector]],
     touches: jax.Array,
     candidates: Candidates,
     touch: jax.Array,
@@ -194,7 +187,7 @@ def _block(
         slice_at(pairs, first, TEST_BLOCK) for pairs in (candidates.lists.node, candidates.lists.triangle)
     )
     planes = read_rows(candidates.lists.planes.reshape(-1), len(candidates.lists.planes), first, TEST_BLOCK)
-    beta, meets = _paths_meet(*paths.path_ends(node), planes, touch)
+    beta, meets = _paths_meet(*path_ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < candidates.count
     blocked = gather(touches, node)
     if lying is not None:
@@ -222,7 +215,7 @@ def no_hits(node_count: int, real: jnp.dtype) -> FirstHits:
 
 
 def _first_hits(
-    paths: _NodePaths,
+    path_ends: Callable[[jax.Array], tuple[Vector, Vector]],
     touches: jax.Array,
     candidates: Candidates,
     due: DueBlocks,
@@ -241,7 +234,7 @@ def _first_hits(
 
     def choose(carry: tuple[jax.Array, FirstHits]) -> tuple[jax.Array, FirstHits]:
         k, found = carry
-        node, triangle, beta, meets = _block(entry(due[0], k), paths, touches, candidates, touch, lying)
+        node, triangle, beta, meets = _block(entry(due[0], k), path_ends, touches, candidates, touch, lying)
         return k + 1, _update_hits(found, materialize((node, first + triangle, beta, meets)))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), found))[1]
@@ -290,10 +283,10 @@ def _place_hit_nodes(
     """The landing of the nodes that met a surface, one after the other, since they are few; not differentiable."""
     nodes, met = landing.nodes, room
     for number, (surface, first) in enumerate(zip(surfaces, first_numbers(surfaces), strict=False)):
-        paths = _NodePaths(nodes.positions, nodes.velocities, now.length, now.frames[number])
+        path_ends = functools.partial(_path_ends, nodes, now.length, now.frames[number])
         touch = touch_distance(surface.grid)
         met = _first_hits(
-            paths,
+            path_ends,
             known[number],
             candidates[number],
             due[number],

@@ -51,8 +51,8 @@ def update_broad_phase(
         for number, listed in enumerate(candidates):
             frame = _present_frame(moving, scene, now, number)
             state = jax.lax.stop_gradient((nodes.positions, nodes.velocities, nodes.stuck, till_next, listed))
-            new = check_nodes(*state, last[number], count, frame)
-            found.append(new._replace(close=new.close | now.always_check))
+            close, missed = check_nodes(*state, last[number], count, frame)
+            found.append((close | now.always_check, missed))
         return tuple(found)
 
     due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
@@ -106,7 +106,7 @@ def search_contact(
     flying, this = _free_flight(moved, length, now, frames)
     due, mass = [blocks for blocks, _ in found], _masses(scene, now)
     landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, known, moved.hits)
-    missed = functools.reduce(operator.or_, [seen.missed for seen in moved.last_checks])
+    missed = functools.reduce(operator.or_, [missed for _, missed in moved.last_checks])
     return dataclasses.replace(
         _apply_landing(moved, landing),
         hits=met,
@@ -176,7 +176,7 @@ def any_missed(moving: WindowState, candidates: Sequence[Candidates], scene: Sce
 
         inputs = jax.lax.stop_gradient((moving.nodes.positions, moving.nodes.stuck, list_spheres(listed)))
         _, (count,) = over_blocks(work, now.active.packed.elements.node_block_count, inputs, [], sums=1)
-        missed = missed | seen.missed | (count > 0)
+        missed = missed | seen[1] | (count > 0)
     return missed
 
 
@@ -192,9 +192,8 @@ def _active_pairs(
     """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
     state = jax.lax.stop_gradient((moved.nodes.positions, moved.nodes.stuck, touches, candidates))
     blocks, frame = now.active.packed.elements.node_block_count, jax.lax.stop_gradient(frame)
-    found = lax_cond_once(
-        moved.last_checks[number].close, lambda _: find_active_pairs(*state, blocks, frame), no_active_pairs(candidates)
-    )
+    close, _ = moved.last_checks[number]
+    found = lax_cond_once(close, lambda _: find_active_pairs(*state, blocks, frame), no_active_pairs(candidates))
     return found if scene.solver.skip_far else (all_blocks(candidates), found[1])
 
 

@@ -146,7 +146,7 @@ def _memory(moving: WindowState, scene: Scene, now: WindowData) -> ViscousMemory
     modes = scene.material.viscous
     if modes is None or moving.memory is None or now.recursion is None:
         return None
-    gain = jnp.where(moving.count == 0, 0.0, now.recursion.gain)
+    gain = jnp.where(moving.count == 0, 0.0, now.recursion[1])
     return dataclasses.replace(present_memory(moving.memory, modes), gain=gain)
 
 
@@ -356,13 +356,8 @@ def _choose(chosen: jax.Array, new: membrane.Vector, old: membrane.Vector) -> me
 _LANES = 16  # nodes that are walked together
 
 
-class _Walking(NamedTuple):
-    """What a walk changes of the nodes (n,) that it takes: all they are, and the losses of all so far [J]."""
-
-    positions: membrane.Vector
-    velocities: jax.Array
-    slid: _SlidContact
-    losses: ContactLosses
+_Walking = tuple[membrane.Vector, jax.Array, _SlidContact, ContactLosses]
+"""What a walk changes of nodes (n,): their positions, velocities and contact, and the losses of all so far [J]."""
 
 
 def _walk_nodes(
@@ -387,19 +382,20 @@ def _walk_nodes(
         )
         table = membrane.gather(slots, node), jnp.int32(len(slots))
         nodal = add_gravity(gather_shares(corners, table), mass, scene.solver.gravity)
-        old = vector(before.velocities)
+        places, speeds, touching, lost = before
+        old = vector(speeds)
         free, _ = update_velocity(nodal, old, (stuck, mass, compliance), steps[0], damping)
-        there = dataclasses.replace(own, positions=before.positions, velocities=old, wall=before.slid.wall, tool=tool)
+        there = dataclasses.replace(own, positions=places, velocities=old, wall=touching.wall, tool=tool)
         lying = LyingNodes.of(there, free, nodal, (mass, compliance), lies)
         slid = materialize(slide_nodes(lying, steps, scene.surfaces, frames, damping, differentiable=False))
-        time = jnp.where(slid.left, -1.0, before.slid.contact_time)
+        time = jnp.where(slid.left, -1.0, touching.contact_time)
         contact = _SlidContact(slid.wall, time, slid.over, find_facets(slid.wall, tool, lying.mobile, scene.surfaces))
-        losses = jax.tree.map(lambda lost: jnp.sum(jnp.where(lies, lost, 0.0)), slid.losses)
-        total = jax.tree.map(jnp.add, before.losses, losses)
-        return _Walking(slid.positions, jnp.stack(slid.velocities), contact, total)
+        losses = jax.tree.map(lambda each: jnp.sum(jnp.where(lies, each, 0.0)), slid.losses)
+        total = jax.tree.map(jnp.add, lost, losses)
+        return slid.positions, jnp.stack(slid.velocities), contact, total
 
     none = jnp.zeros((), own.velocities.dtype)
-    begun = _Walking(
+    begun = (
         vector(taken.positions),
         taken.velocities,
         _SlidContact(own.wall, own.contact_time, jnp.zeros_like(walks), moving.facets),
@@ -412,15 +408,15 @@ def _walk_nodes(
         new = walk(jnp.arange(walks.size), begun, walks)
         return jax.tree.map(lambda one, other: jnp.where(walks, one, other) if one.ndim else one, new, begun)
 
-    end = lax_cond_once(any_walks, walk_all, materialize(begun))
+    positions, velocities, slid, losses = lax_cond_once(any_walks, walk_all, materialize(begun))
     return taken._replace(
-        positions=end.positions,
-        velocities=end.velocities,
-        slid=end.slid,
-        work=taken.work + end.losses.work,
-        friction=taken.friction + end.losses.friction,
-        impact=taken.impact + end.losses.impact,
-        loss=taken.loss + end.losses.damping,
+        positions=positions,
+        velocities=velocities,
+        slid=slid,
+        work=taken.work + losses.work,
+        friction=taken.friction + losses.friction,
+        impact=taken.impact + losses.impact,
+        loss=taken.loss + losses.damping,
     )
 
 

@@ -47,16 +47,11 @@ StepLimit = tuple[jax.Array | None, jax.Array, jax.Array]
 """What is kept of the limit of the stable step for the next window: `mode`, `bound` and `sharpness` as in `State`."""
 
 
-class StepChoice(NamedTuple):
-    """The step of a window [s], how many there are at most, and what the next window needs to know of the limit.
+StepChoice = tuple[jax.Array, jax.Array, StepLimit, Workspace | None]
+"""The step of a window [s], how many there are at most, and what the next window needs to know of the limit.
 
-    And the room that was written in, where there is some that is kept.
-    """
-
-    length: jax.Array
-    max_count: jax.Array
-    limit: StepLimit
-    room: Workspace | None = None
+And the workspace that was written in; None where none is kept.
+"""
 
 
 def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoice:
@@ -91,7 +86,7 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
         cooling = jnp.maximum(state.control.pace * rung, jnp.finfo(rung.dtype).tiny)
         most = jnp.clip(MOST_COOLING / cooling, 1, most).astype(most.dtype)
     most = jnp.clip(jnp.ceil(rest / rung), jnp.minimum(most, SHORT_WINDOW), most).astype(most.dtype)
-    return jax.lax.stop_gradient(StepChoice(jnp.minimum(rung, rest / most), most, limit, room))
+    return jax.lax.stop_gradient((jnp.minimum(rung, rest / most), most, limit, room))
 
 
 def max_step_count(length: jax.Array, scene: Scene) -> jax.Array:

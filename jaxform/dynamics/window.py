@@ -74,11 +74,11 @@ def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tupl
     chosen = choose_step(state, scene, active)
 
     def whole(now: tuple[PackedState, Workspace | None]) -> tuple[PackedState, Workspace | None]:
-        own = chosen._replace(room=now[1]), None
+        own = (*chosen[:3], now[1]), None
         state, _, room = _step_window(now[0], scene, active, own, differentiable=False)
         return state, room
 
-    state, room = compile_as_one(whole, (state, chosen.room), state.windows)
+    state, room = compile_as_one(whole, (state, chosen[3]), state.windows)
     return state, dataclasses.replace(active, workspace=room)
 
 
@@ -189,7 +189,7 @@ def _advance_over_lists(
     def advance_with_lists(
         carry: tuple[WindowState, ContactSearch, _Lists],
     ) -> tuple[WindowState, ContactSearch, _Lists]:
-        moving, searched, lists = carry
+        moving, (most, overflow, any_before), lists = carry
         candidates = tuple(_list_candidates(moving, scene, now, number, lists[number]) for number in range(count))
         full = functools.reduce(operator.or_, [listed.overflow for listed in candidates])
         moving = dataclasses.replace(
@@ -197,12 +197,12 @@ def _advance_over_lists(
         )
         moving = _advance_until_halted(moving, scene, now, steps, candidates)
         missed = any_missed(moving, candidates, scene, now)
-        pairs = functools.reduce(jnp.maximum, [listed.count for listed in candidates], searched.pairs)
+        pairs = functools.reduce(jnp.maximum, [listed.count for listed in candidates], most)
         moving = dataclasses.replace(moving, halted=moving.halted | missed)
-        found = ContactSearch(pairs, searched.overflow | full, searched.missed | missed)
+        found = pairs, overflow | full, any_before | missed
         return moving, found, tuple(listed.lists for listed in candidates)
 
-    none = ContactSearch(jnp.int32(0), jnp.asarray(False), jnp.asarray(False))
+    none = jnp.int32(0), jnp.asarray(False), jnp.asarray(False)
     return jax.lax.while_loop(lambda carry: _continues(carry[0], now), advance_with_lists, (moving, none, lists))
 
 
@@ -268,7 +268,7 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
         own = jnp.where(fresh, jnp.minimum(length, even), even)
         most = jnp.clip(steps, 1, max_step_count(own, scene))
         limit = state.nodes.mode, bound, state.control.sharpness
-        return StepChoice(own, most, limit), (row, left)
+        return (own, most, limit, None), (row, left)
 
     def beyond_schedule(*now: Any) -> _Decisions:
         return choose_step(*now), (row, jnp.full_like(state.time, jnp.inf))

@@ -69,13 +69,13 @@ def end_window(
     # What blew up, and what may have missed the mold since a node flew out of its sphere or faster than it looked, is
     # retried with half the step: the sheet may have stiffened within the window.
     if searched is not None:
-        status = jnp.where(searched.missed, Status.CONTACT_MISSED, status)
+        status = jnp.where(searched[2], Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
     status = state.status | jnp.where(state.control.retries >= _MOST_RETRIES, status, 0)
     if searched is not None:
         # Pairs were lost: the state is left as it was, for a run with more room.
-        bad |= searched.overflow
-        status |= jnp.where(searched.overflow, Status.CONTACT_OVERFLOW, 0)
+        bad |= searched[1]
+        status |= jnp.where(searched[1], Status.CONTACT_OVERFLOW, 0)
     box = scene.tables.box
     if box is None:
         status |= jnp.where((end.largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
@@ -133,7 +133,7 @@ def _next_span(
     if searched is not None:
         counts = scene.tables.counts
         nodes = scene.tables.mobility.shape[1] if counts is None else counts.nodes
-        longer &= searched.pairs <= _FEW_PAIRS * nodes
+        longer &= searched[0] <= _FEW_PAIRS * nodes
     longest = jnp.int32(scene.tables.longest_window)
     twice, half = (
         jnp.minimum(2 * state.control.span, longest),

@@ -111,16 +111,12 @@ class KnownContact(NamedTuple):
     record: jax.Array | None = None
 
 
-class ContactSearch(NamedTuple):
-    """Result of the contact search in a window.
+ContactSearch = tuple[jax.Array, jax.Array, jax.Array]
+"""Result of the contact search in a window.
 
-    The most pairs of node and triangle that it listed at once; whether any found no room; and whether a node may have
-    missed the mold, out of its sphere or faster than it was looked at.
-    """
-
-    pairs: jax.Array
-    overflow: jax.Array
-    missed: jax.Array
+The most pairs of node and triangle that it listed at once; whether any exceeded the capacity; and whether a node may
+have missed the mold, out of its sphere or faster than it was checked.
+"""
 
 
 # The state in which a run begins: the sheet at rest, with what lies on the mold held there.

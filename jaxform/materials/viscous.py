@@ -66,12 +66,8 @@ class StrainState(NamedTuple):
         return a * c - b * b
 
 
-class Recursion(NamedTuple):
-    """Factors of a step for each mode (n_mode,): stress decay, gain, and weight of the old measure."""
-
-    left: jax.Array
-    gain: jax.Array
-    back: jax.Array
+Recursion = tuple[jax.Array, jax.Array, jax.Array]
+"""Factors of a step for each mode (n_mode,): stress decay, gain, and weight of the old measure."""
 
 
 class Modes:
@@ -164,7 +160,7 @@ class Christensen(Modes):
         """The stress relaxes, and follows the strain."""
         left, lag = _relaxation_factors(step, self.time)
         gain = _as_column(self.modulus, lag) * (1.0 - lag)
-        return Recursion(left, gain, gain)
+        return left, gain, gain
 
     def initial_stress(self, inverse: jax.Array) -> jax.Array:
         """None."""
@@ -216,7 +212,7 @@ class Maxwell(Modes):
         """The stress goes towards that of a sheet that was always strained as it is."""
         left, lag = _relaxation_factors(step, self.time)
         modulus = _as_column(self.modulus, lag)
-        return Recursion(left, modulus * lag, modulus * (left - 1.0 + lag))
+        return left, modulus * lag, modulus * (left - 1.0 + lag)
 
     def initial_stress(self, inverse: jax.Array) -> jax.Array:
         """The initial stress of the modes: that of unstrained rubber."""

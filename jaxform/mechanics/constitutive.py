@@ -41,7 +41,7 @@ def present_memory(stress: jax.Array, modes: Modes) -> ViscousMemory:
 def instantaneous_memory(stress: jax.Array, modes: Modes) -> ViscousMemory:
     """The history with the instantaneous response of the modes to a change of the strain."""
     none = jnp.zeros((), modes.time.dtype)
-    return ViscousMemory(stress, modes.recursion(none).gain, modes.kind, only_slope=True)
+    return ViscousMemory(stress, modes.recursion(none)[1], modes.kind, only_slope=True)
 
 
 class Response(NamedTuple):
@@ -155,9 +155,10 @@ class Overstress(NamedTuple):
 
     def updated_history(self, recursion: Recursion) -> Rows:
         """`ViscousMemory.history` (4 n_mode rows) for the next step, after a step with that recursion."""
+        lefts, _, backs = recursion
         return [
             left * x - back * row
-            for rows, left, back in zip(self.modes, recursion.left, recursion.back, strict=True)
+            for rows, left, back in zip(self.modes, lefts, backs, strict=True)
             for x, row in zip(rows, self.measure, strict=True)
         ]
 

@@ -102,7 +102,6 @@ def viscous_corner_forces(
     rows, response, memory = unstack_rows(load.positions), load.response, load.memory
     assert memory is not None
     zones = {name: values for name, values in response.zones.items() if name != "memory.rest"}
-    varying, single = _split_varying(recursion)
 
     def work(old: Any, block: ElementBlock, thickness: jax.Array, zones: Any, varying: Any, block_modes: Any) -> Any:
         # As they are: put together, the rows would be copied.
@@ -111,9 +110,9 @@ def viscous_corner_forces(
         assert found is not None
         rate = (block_modes or modes).loss(found.modes, found.strained)
         lost = jnp.where(block.area > 0.0, block.area * thickness * rate, 0.0)
-        return [found.updated_history(Recursion(**(varying | single))), *combine_pairs(corners, block)], [volume, lost]
+        return [found.updated_history(_of_block(recursion, varying)), *combine_pairs(corners, block)], [volume, lost]
 
-    inputs = element_block(elements), load.thickness, zones, varying, _per_element_modes(modes)
+    inputs = element_block(elements), load.thickness, zones, _varying_factors(recursion), _per_element_modes(modes)
     (rest, *corners), (volume, loss) = over_blocks(
         work, elements.block_count, inputs, [memory.history, *into], sums=2, update=1, kept=False
     )
@@ -168,10 +167,15 @@ def _per_element_modes(modes: Modes) -> Modes | None:
     return modes if modes.modulus.ndim == 2 else None
 
 
-def _split_varying(recursion: Recursion) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
-    """The factors of a recursion that vary over the elements, and those that do not."""
-    parts = recursion._asdict()
-    return {k: v for k, v in parts.items() if v.ndim == 2}, {k: v for k, v in parts.items() if v.ndim < 2}
+def _of_block(recursion: Recursion, varying: tuple[jax.Array | None, ...]) -> Recursion:
+    """A recursion with the factors of a block of elements in place of those that vary."""
+    left, gain, back = (whole if own is None else own for whole, own in zip(recursion, varying, strict=True))
+    return left, gain, back
+
+
+def _varying_factors(recursion: Recursion) -> tuple[jax.Array | None, ...]:
+    """The factors of a recursion that vary over the elements; None in place of the others."""
+    return tuple(factor if factor.ndim == 2 else None for factor in recursion)
 
 
 def _forces(

@@ -40,7 +40,7 @@ def initial_overstress(modes: Modes, count: int) -> Overstress:
 def advance_memory(modes: Modes, past: Overstress, step: jax.Array) -> ViscousMemory:
     """The memory of Prony terms after a step [s] with the strain linear in time; a step of 0 is a jump."""
     recursion = modes.recursion(step)
-    return ViscousMemory(jnp.stack(past.updated_history(recursion)), recursion.gain, modes.kind)
+    return ViscousMemory(jnp.stack(past.updated_history(recursion)), recursion[1], modes.kind)
 
 
 def principal_overstress(memory: ViscousMemory, one: jax.Array, two: jax.Array) -> Overstress:

@@ -173,7 +173,7 @@ def _stiffness_at_once(square: jax.Array, modes: Modes) -> jax.Array:
     none, one = jnp.zeros_like(square), jnp.ones_like(square)
     g = square, none, square
     unit = jnp.stack([one, none, one])
-    memory = ViscousMemory(modes.initial_stress(unit), modes.recursion(none[0]).gain, modes.kind)
+    memory = ViscousMemory(modes.initial_stress(unit), modes.recursion(none[0])[1], modes.kind)
     stresses = overstress(g, unit, memory).modes
     return stiffness.viscous_stiffness(membrane.invariants(g, unit), strain_state(g, unit), stresses, modes)
 

@@ -128,7 +128,7 @@ def _dissipated_power(time: float, stretches: np.ndarray, step: float) -> tuple[
         memory = dataclasses.replace(constitutive.present_memory(rest, modes), gain=jnp.full(1, gain))
         found = constitutive.overstress(now.metric, UNIT, memory)
         strains.append(np.asarray(found.measure)[:, 0])
-        rest, gain = jnp.stack(found.updated_history(passed)), float(passed.gain[0])
+        rest, gain = jnp.stack(found.updated_history(passed)), float(passed[1][0])
     return float(modes.limit_losses(real(step)).loss(found.modes, now)[0]), strains
 
 
@@ -256,7 +256,7 @@ def test_in_blocks_and_at_once_a_step_remembers_the_same(kind: Any, monkeypatch:
     elements, places = whole.elements, whole.pack(scene.parison.positions.T)
     moved = 1.2 * places + 0.02 * random.standard_normal(places.shape)
     rest = jnp.tile(modes.initial_stress(elements.inverse_metric)[:4], (2, 1)) + 0.1
-    memory = dataclasses.replace(constitutive.present_memory(rest, modes), gain=modes.recursion(real(0.01)).gain)
+    memory = dataclasses.replace(constitutive.present_memory(rest, modes), gain=modes.recursion(real(0.01))[1])
     load = corners.Load(moved, sheet.thickness[whole.element], real(0.1), scene.material.elastic, memory)
     used, found = np.asarray(elements.area) > 0.0, []
     for backend in ("cpu", "another"):
@@ -285,7 +285,7 @@ def test_the_bound_on_the_step_holds_for_any_history(kind: Any) -> None:
     """The largest eigenvalue of how the modes' forces answer at once, from their potential by automatic derivatives."""
     random = np.random.default_rng(0)
     modes: Modes = kind(jnp.asarray([3.0]), jnp.asarray([1.0]))
-    gain = modes.recursion(real(0.0)).gain[0]
+    gain = modes.recursion(real(0.0))[1][0]
     for _ in range(40):
         stretch = random.uniform(0.7, 3.0, 2)
         turn = np.linalg.qr(random.normal(size=(3, 2)))[0]
