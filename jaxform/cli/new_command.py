@@ -6,7 +6,6 @@ import argparse
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,20 +79,14 @@ def _start_bottle(arguments: argparse.Namespace, say: Callable[[str], None]) -> 
     from jaxform.io import bottle_wizard, extrusion_wizard
 
     paths = [disk.expand_path(name) for name in arguments.mold]
-    sizes = arguments.scale, arguments.thickness
+    stretched = arguments.process == "stretch-blow"
+    draft = bottle_wizard.draft_bottle if stretched else extrusion_wizard.draft_extrusion
     try:
-        if arguments.process == "stretch-blow":
-            preform = bottle_wizard.draft_bottle(paths, *sizes)
-            write, lines = partial(bottle_wizard.write_bottle, made=preform), bottle_wizard.describe_bottle(preform)
-        else:
-            parison = extrusion_wizard.draft_extrusion(paths, *sizes)
-            extrusion_wizard.warn_of_handles(parison)
-            write = partial(extrusion_wizard.write_extrusion, made=parison)
-            lines = extrusion_wizard.describe_extrusion(parison)
+        made, lines = draft(paths, arguments.scale, arguments.thickness)
     except InputError as error:
         raise error.with_context(key="--mold") from None
     _open_folder(arguments)
-    files = write(arguments.folder, paths)
+    files = bottle_wizard.write_files(arguments.folder, made)
     for line in lines:
         say(line)
     return _say_next(arguments, files, say)

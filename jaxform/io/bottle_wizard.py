@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,42 +37,22 @@ _LIMIT, _SPARE = 25.0, 1.7  # of Gent's model; and at least so many times I1 - 3
 _RADIUS, _VOLUME, _ORIFICE, _DEAD = 0.03, 4.2e-4, 1.0e-5, 5.0e-6  # of the built-in bottle, whose air fits it
 
 
-@dataclass(frozen=True)
-class BottleDraft:
-    """A first scene for a bottle.
-
-    Attributes:
-        units: Units of the file.
-        size: Sides of its bounding box in these (3,).
-        body: The bottle's surface [m].
-        preform: Points r, z [m] of the preform from the neck to the round end (k, 2).
-        thickness: Thickness of the preform [m].
-        wall: Mean wall of the bottle [m].
-        around, along: Mean stretches of the body around and along the axis.
-    """
-
-    units: Units
-    size: Array
-    body: Revolution
-    preform: Array
-    thickness: float
-    wall: float
-    around: float
-    along: float
-
-    @property
-    def volume(self) -> float:
-        """Volume of the bottle [m^3]."""
-        return abs(make_meridian(self.body.profile).volume)
+Files = tuple[dict[str, str], dict[str, Mesh]]
+"""Texts and meshes of a first scene, by the names of their files."""
 
 
-def draft_bottle(paths: Sequence[Path], scale: float | None = None, thickness: float | None = None) -> BottleDraft:
+def draft_bottle(
+    paths: Sequence[Path], scale: float | None = None, thickness: float | None = None
+) -> tuple[Files, list[str]]:
     """A first scene for a bottle, whose files are its inside, its outside, or both.
 
     Args:
         paths: The mesh files.
         scale: Metres per unit of the files; guessed by default.
         thickness: Thickness of the preform [m]; by default for a usual wall.
+
+    Returns:
+        Its files, and lines on what was found and chosen.
 
     Raises:
         InputError: A file cannot be read, or is no round bottle with a neck.
@@ -96,7 +75,9 @@ def draft_bottle(paths: Sequence[Path], scale: float | None = None, thickness: f
     thick = thickness or round_digits(usual)
     shoulder = _shoulder(body, neck)
     along = (body.length - shoulder) / (float(preform[:, 1].max()) - shoulder)
-    return BottleDraft(units, extent, body, preform, thick, thick / gain, around, along)
+    scene = _scene(paths, body, preform, thick, thick / gain, (around, along))
+    lines = [describe_box(units, extent), *_describe(units, body, preform, thick, thick / gain, (around, along))]
+    return ({"scene.toml": scene, "study.toml": _STUDY}, {}), lines
 
 
 def read_bottle(paths: Sequence[Path], scale: float | None) -> tuple[Mesh, Units, Array]:
@@ -134,33 +115,38 @@ def _shoulder(body: Revolution, neck: float) -> float:
     return float(z + (t - z) * (_NECK * neck - r) / (s - r))
 
 
-def write_bottle(folder: Path, paths: Sequence[Path], made: BottleDraft) -> list[Path]:
-    """Writes scene.toml and study.toml into a folder that is there, and returns their paths."""
-    return write_texts(folder, {"scene.toml": _scene(made, paths), "study.toml": _STUDY})
-
-
-def write_texts(folder: Path, texts: dict[str, str]) -> list[Path]:
-    """Writes texts by file name into a folder that is there, and returns their paths."""
+def write_files(folder: Path, files: Files) -> list[Path]:
+    """Writes the files of a first scene into a folder that is there, and returns their paths."""
+    texts, surfaces = files
     for name, text in texts.items():
         with atomic_path(folder / name) as fresh:
             fresh.write_text(text, encoding="utf-8")
-    return [folder / name for name in texts]
+    for name, surface in surfaces.items():
+        with atomic_path(folder / name) as fresh:
+            meshes.write_stl(fresh, surface.positions, surface.triangles)
+    return [folder / name for name in (*texts, *surfaces)]
 
 
-def describe_bottle(made: BottleDraft) -> Iterator[str]:
-    """Lines on what was found and chosen."""
-    body = made.body
-    yield describe_box(made.units, made.size)
-    (x, y, z), (a, b, c) = np.round(body.origin / made.units[0], 4) + 0.0, np.round(body.axis, 4) + 0.0
+def _volume(body: Revolution) -> float:
+    """Volume of the bottle [m^3]."""
+    return abs(make_meridian(body.profile).volume)
+
+
+def _describe(
+    units: Units, body: Revolution, preform: Array, thickness: float, wall: float, stretches: tuple[float, float]
+) -> Iterator[str]:
+    """Lines on what was found and chosen; the arguments are those of `_scene`."""
+    (x, y, z), (a, b, c) = np.round(body.origin / units[0], 4) + 0.0, np.round(body.axis, 4) + 0.0
     yield f"it is round about the axis from its neck at ({x:g}, {y:g}, {z:g}) along ({a:g}, {b:g}, {c:g}) of the file"
     yield (
         f"it is {1e3 * body.length:.3g} mm long, {2e3 * body.radius:.3g} mm wide with a neck of "
-        f"{2e3 * body.neck:.3g} mm, and holds {1e6 * made.volume:.3g} ml"
+        f"{2e3 * body.neck:.3g} mm, and holds {1e6 * _volume(body):.3g} ml"
     )
-    mass, end = 1.33e6 * make_meridian(made.preform).area * made.thickness, float(made.preform[:, 1].max())
+    mass, end = 1.33e6 * make_meridian(preform).area * thickness, float(preform[:, 1].max())
+    around, along = stretches
     yield (
-        f"preform: {1e3 * end:.3g} mm long, {1e3 * made.thickness:.3g} mm thick, {mass:.3g} g; stretched "
-        f"{made.around:.2g} times around and {made.along:.2g} along, to a mean wall of {1e3 * made.wall:.2g} mm"
+        f"preform: {1e3 * end:.3g} mm long, {1e3 * thickness:.3g} mm thick, {mass:.3g} g; stretched "
+        f"{around:.2g} times around and {along:.2g} along, to a mean wall of {1e3 * wall:.2g} mm"
     )
     yield "guessed: preform, rod, air and times; the material is a placeholder"
 
@@ -179,34 +165,51 @@ def _points(points: Array) -> str:
     return "[\n" + "".join(f"    {line},\n" for line in lines) + "]"
 
 
-def _thickness(made: BottleDraft) -> str:
+def _thickness(preform: Array, thickness: float) -> str:
     """The thickness along z, thinner in the neck."""
-    at = [round(float(z), 6) for z in made.preform[1:3, 1]]
-    return inline({"along": "z", "at": at, "value": [round_digits(_THIN * made.thickness), made.thickness]})
+    at = [round(float(z), 6) for z in preform[1:3, 1]]
+    return inline({"along": "z", "at": at, "value": [round_digits(_THIN * thickness), thickness]})
 
 
-def _scene(made: BottleDraft, paths: Sequence[Path]) -> str:
-    body = made.body
-    share = made.volume / _VOLUME
-    gap, end = _GAP * body.radius, float(made.preform[:, 1].max())
+def _scene(
+    paths: Sequence[Path],
+    body: Revolution,
+    preform: Array,
+    thickness: float,
+    wall: float,
+    stretches: tuple[float, float],
+) -> str:
+    """The scene file.
+
+    Args:
+        paths: The mesh files.
+        body: The bottle's surface [m].
+        preform: Points r, z [m] of the preform from the neck to the round end (k, 2).
+        thickness: Thickness of the preform [m].
+        wall: Mean wall of the bottle [m].
+        stretches: Mean stretches of the body around and along the axis.
+    """
+    around, along = stretches
+    share = _volume(body) / _VOLUME
+    gap, end = _GAP * body.radius, float(preform[:, 1].max())
     start = end - gap
     bottom = float(body.profile[0, 1])
     stroke = bottom - 2.0 * gap - start
     # As much as the built-in bottle's wall over its radius, but not less than its air.
-    pressure = max(1.0, made.wall / (_WALL * body.radius))
-    limit = max(_LIMIT, _SPARE * (made.around**2 + made.along**2 - 3.0))
+    pressure = max(1.0, wall / (_WALL * body.radius))
+    limit = max(_LIMIT, _SPARE * (around**2 + along**2 - 3.0))
     mold = np.concatenate([body.profile, [[body.profile[-1, 0], -0.01 * body.length]]])
     values = {
         "name": inline(Path(paths[0]).stem),
         "file": paths[0].name,
-        "preform": _points(made.preform),
-        "thickness": _thickness(made),
+        "preform": _points(preform),
+        "thickness": _thickness(preform, thickness),
         "limit": f"{limit:.3g}",
         "supply": inline([round_digits(8e5 * pressure)] * 4 + [round_digits(4e6 * pressure)]),
         "orifice": f"{_ORIFICE * share:.3g}",
         "dead": f"{_DEAD * share:.3g}",
         "mold": _points(mold),
-        "rod": f"{_ROD * float(made.preform[2:, 0].max()):.4g}",
+        "rod": f"{_ROD * float(preform[2:, 0].max()):.4g}",
         "length": f"{1.2 * body.length:.4g}",
         "start": f"{start:.6g}",
         "stroke": f"{stroke:.6g}",

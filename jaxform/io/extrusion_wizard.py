@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.disk import atomic_path
 from jaxform.core.errors import warn_of
-from jaxform.io.bottle_wizard import describe_box, fill_template, read_bottle, write_texts
+from jaxform.io.bottle_wizard import Files, describe_box, fill_template, read_bottle
 from jaxform.io.scene_choices import round_digits
 from jaxform.io.scene_rewriting import inline
-from jaxform.io.unit_checks import Units
-from jaxform.mesh import meshes, topology
+from jaxform.mesh import topology
 from jaxform.tools import bottles
 from jaxform.tools.bottles import BottleHalf
 
@@ -35,38 +32,9 @@ _C, _DENSITY = 2.0e5, 950.0  # of the placeholder
 _SUPPORT, _SPREAD, _BLOW, _LEAST = 0.07, 3.5, 28.0, 8.0e5  # air, over c h / r; and the blow in Pa at least
 
 
-@dataclass(frozen=True)
-class ExtrusionDraft:
-    """A first scene for a bottle.
-
-    Attributes:
-        units: Units of the file.
-        size: Sides of its bounding box in these (3,).
-        half: Half of the bottle.
-        radius: Radius of the parison [m].
-        thickness: Thickness of the parison [m].
-        wall: Mean wall of the bottle [m].
-        holes: Distances from the axis between which the handle's holes lie in the parting plane [m], and the outer edge
-            of the handle there (3,), for each hole.
-    """
-
-    units: Units
-    size: Array
-    half: BottleHalf
-    radius: float
-    thickness: float
-    wall: float
-    holes: list[tuple[float, float, float]]
-
-    @property
-    def reach(self) -> float:
-        """How far from the axis the flattened parison reaches [m]."""
-        return 0.5 * math.pi * self.radius
-
-
 def draft_extrusion(
     paths: Sequence[Path], scale: float | None = None, thickness: float | None = None
-) -> ExtrusionDraft:
+) -> tuple[Files, list[str]]:
     """A first scene for a bottle, whose files are its inside, its outside, both, or half of these.
 
     Args:
@@ -74,8 +42,14 @@ def draft_extrusion(
         scale: Metres per unit of the files; guessed by default.
         thickness: Thickness of the parison [m]; by default for a usual wall.
 
+    Returns:
+        Its files, and lines on what was found and chosen.
+
     Raises:
         InputError: A file cannot be read, or is no bottle with a neck and a plane of symmetry.
+
+    Warns:
+        InputWarning: The flattened parison does not reach a handle.
     """
     surface, units, extent = read_bottle(paths, scale)
     half = bottles.find_bottle(surface)
@@ -84,11 +58,18 @@ def draft_extrusion(
     gain = half.area / (math.pi * radius * half.length)
     usual = _WALL * half.area / (math.pi * half.length) * gain
     thick = thickness or round_digits(min(usual, _SHARE * radius))
-    return ExtrusionDraft(units, extent, half, radius, thick, thick / gain, holes)
+    _warn_of_handles(holes, radius)
+    texts = {"scene.toml": _scene(paths, half, radius, thick, bool(holes)), "study.toml": _study(thick)}
+    lines = [describe_box(units, extent), *_describe(half, radius, thick, thick / gain, len(holes))]
+    return (texts, {HALF: half.mesh}), lines
 
 
 def _find_holes(half: BottleHalf) -> list[tuple[float, float, float]]:
-    """Holes in the outline of the half, as `ExtrusionDraft.holes`."""
+    """The handle's holes in the outline of the half, in the parting plane.
+
+    Returns:
+        For each hole the distances from the axis [m] between which it lies, and the outer edge of the handle there.
+    """
     positions = half.mesh.positions
     edges, part = topology.open_rims(half.mesh.triangles, len(positions))
     outline = positions[edges]
@@ -106,60 +87,51 @@ def _find_holes(half: BottleHalf) -> list[tuple[float, float, float]]:
     return found
 
 
-def warn_of_handles(made: ExtrusionDraft) -> None:
-    """Warns of handles that the flattened parison does not reach."""
-    for _, inner, outer in made.holes:
-        if made.reach < inner + _REACH * (outer - inner):
+def _warn_of_handles(holes: list[tuple[float, float, float]], radius: float) -> None:
+    """Warns of handles that the flattened parison, which is a tube of a radius [m], does not reach."""
+    reach = 0.5 * math.pi * radius
+    for _, inner, outer in holes:
+        if reach < inner + _REACH * (outer - inner):
             problem = (
                 f"has a handle from {1e3 * inner:.3g} to {1e3 * outer:.3g} mm beside its axis, and the flattened "
-                f"parison reaches {1e3 * made.reach:.3g} mm: the handle may stay empty"
+                f"parison reaches {1e3 * reach:.3g} mm: the handle may stay empty"
             )
             warn_of(problem, "give the parison a larger radius (parison.radius), or a wider neck", key="--mold")
 
 
-def write_extrusion(folder: Path, paths: Sequence[Path], made: ExtrusionDraft) -> list[Path]:
-    """Writes scene.toml, study.toml and the mold half into a folder that is there, and returns their paths."""
-    files = write_texts(folder, {"scene.toml": _scene(made, paths), "study.toml": _study(made)})
-    with atomic_path(folder / HALF) as fresh:
-        meshes.write_stl(fresh, made.half.mesh.positions, made.half.mesh.triangles)
-    return [*files, folder / HALF]
-
-
-def describe_extrusion(made: ExtrusionDraft) -> Iterator[str]:
-    """Lines on what was found and chosen."""
-    half = made.half
-    yield describe_box(made.units, made.size)
+def _describe(half: BottleHalf, radius: float, thickness: float, wall: float, hole_count: int) -> Iterator[str]:
+    """Lines on what was found and chosen: radius and thickness of the parison, and the bottle's mean wall [m]."""
     (a, b, c), (d, e, f) = (np.round(row, 4) + 0.0 for row in (half.rotation[2], half.rotation[0]))
     yield (
         f"its neck is at the end along ({a:g}, {b:g}, {c:g}) of the file; the normal of its parting plane is along "
         f"({d:g}, {e:g}, {f:g})"
     )
     wide = float(np.ptp(half.mesh.positions[:, 1]))
-    holes = f", with {len(made.holes)} hole{'s' if len(made.holes) > 1 else ''} beside a handle" if made.holes else ""
+    holes = f", with {hole_count} hole{'s' if hole_count > 1 else ''} beside a handle" if hole_count else ""
     size = f"{1e3 * half.length:.3g} mm long and {1e3 * wide:.3g} mm wide"
     yield f"it is {size}, with a neck of {2e3 * half.neck:.3g} mm{holes}"
-    mass = 2e3 * _DENSITY * math.pi * made.radius * half.length * (1.0 + _TAIL) * made.thickness
+    mass = 2e3 * _DENSITY * math.pi * radius * half.length * (1.0 + _TAIL) * thickness
     yield (
-        f"parison: {2e3 * made.radius:.3g} mm wide, {1e3 * made.thickness:.3g} mm thick, {mass:.3g} g with its flash; "
-        f"for a mean wall of {1e3 * made.wall:.2g} mm"
+        f"parison: {2e3 * radius:.3g} mm wide, {1e3 * thickness:.3g} mm thick, {mass:.3g} g with its flash; "
+        f"for a mean wall of {1e3 * wall:.2g} mm"
     )
     yield "guessed: parison, closing, air and times; the material is a placeholder"
 
 
-def _scene(made: ExtrusionDraft, paths: Sequence[Path]) -> str:
-    half, radius = made.half, made.radius
+def _scene(paths: Sequence[Path], half: BottleHalf, radius: float, thickness: float, has_handle: bool) -> str:
+    """The scene file, of a parison of this radius and thickness [m]."""
     tail, wide = _TAIL * half.length, _LAND * half.length
     gap = round_digits((1.0 + _GAP) * radius)
-    air = _C * made.thickness / radius
+    air = _C * thickness / radius
     low, high = half.mesh.positions.min(0), half.mesh.positions.max(0)
     width = float(high[1] - low[1]) + 2.0 * wide
     values = {
         "name": inline(Path(paths[0]).stem),
         "file": paths[0].name,
         "radius": f"{radius:.6g}",
-        "elements": str(_MORE if made.holes else _ELEMENTS),
+        "elements": str(_MORE if has_handle else _ELEMENTS),
         "length": f"{half.length + tail:.6g}",
-        "thickness": f"{made.thickness:.6g}",
+        "thickness": f"{thickness:.6g}",
         "pressure": inline([0.0, *(round_digits(air * share) for share in (_SUPPORT, _SPREAD))])[:-1]
         + f", {round_digits(max(_LEAST, _BLOW * air)):.6g}]",
         "half": HALF,
@@ -176,8 +148,8 @@ def _scene(made: ExtrusionDraft, paths: Sequence[Path]) -> str:
     return fill_template(_SCENE, values)
 
 
-def _study(made: ExtrusionDraft) -> str:
-    bounds = inline([round_digits(0.3 * made.thickness), round_digits(2.5 * made.thickness)])
+def _study(thickness: float) -> str:
+    bounds = inline([round_digits(0.3 * thickness), round_digits(2.5 * thickness)])
     return fill_template(_STUDY, {"bounds": bounds})
 
 
