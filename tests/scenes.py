@@ -195,7 +195,7 @@ def bisect_scene(scene: Scene, state: State, sheet: Discretization, wanted: jax.
     mesh, adaptivity = state.refined_mesh, scene.adaptivity
     assert adaptivity is not None
     numbers = jnp.where(wanted, mesh.element, NEVER)
-    found = remeshing.close_queue(mesh.split_at, numbers, mesh.element_count, adaptivity.forest, state.windows)
+    found = remeshing.close_queue(mesh.split_at, numbers, mesh.element_count, adaptivity[1], state.windows)
     return refinement._bisect_queue(state, scene, adaptivity, sheet, *found, None)
 
 

@@ -184,7 +184,7 @@ def insert_nodes(
         volumes: Volumes of all triangles of the forest (n_triangle,) [m^3].
         differentiable: Whether loops have as many passes as the capacity; else they end with the new nodes.
     """
-    forest, old, surfaces = adaptivity.forest, state.refined_mesh, scene.surfaces
+    (_, forest), old, surfaces = adaptivity, state.refined_mesh, scene.surfaces
     size = min(BLOCK, mesh.node.size)
 
     def make_insertions(block: jax.Array) -> _Insertions:

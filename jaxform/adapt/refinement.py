@@ -72,7 +72,7 @@ def refine(
 
     def refine_now(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
         state, body = now
-        state = dataclasses.replace(state, mesh=add_sides(state.refined_mesh, adaptivity.forest))
+        state = dataclasses.replace(state, mesh=add_sides(state.refined_mesh, adaptivity[1]))
         state, body = _bisect_queue(state, scene, adaptivity, body, *wanted(state, body, adaptivity), None)
         return drop_sides(state), body
 
@@ -113,7 +113,8 @@ def refine_in_place(
 
 def _is_due(state: State | PackedState, adaptivity: Adaptivity) -> jax.Array:
     # A window that is retried starts with the mesh that it had.
-    return is_refinement_due(state.windows, adaptivity.limits) & ((state.control.last_count > 0) | (state.windows == 0))
+    limits, _ = adaptivity
+    return is_refinement_due(state.windows, limits) & ((state.control.last_count > 0) | (state.windows == 0))
 
 
 def is_refinement_due(window: jax.Array, limits: Refinement) -> jax.Array:
@@ -125,7 +126,7 @@ def _planned_queue(
     state: State, _: Discretization, adaptivity: Adaptivity, planned: jax.Array
 ) -> tuple[jax.Array, Queue]:
     """Windows of the triangles' bisection (n_triangle,), with those planned by now, and the queue of the new ones."""
-    mesh, forest = state.refined_mesh, adaptivity.forest
+    mesh, (_, forest) = state.refined_mesh, adaptivity
     new = planned & (mesh.split_at == NEVER)
     return jnp.where(new, state.windows, mesh.split_at), make_queue(*compact_indices(new, mesh.element.size), forest)
 
@@ -136,7 +137,8 @@ def _requested_queue(
     """Windows of the triangles' bisection (n_triangle,), with those that the mesh requests, and their queue."""
     mesh = state.refined_mesh
     place, count = compact_indices(_mark_elements(state, discrete, adaptivity, scene), mesh.element.size)
-    return close_queue(mesh.split_at, mesh.element[place], count, adaptivity.forest, state.windows)
+    _, forest = adaptivity
+    return close_queue(mesh.split_at, mesh.element[place], count, forest, state.windows)
 
 
 def _within_reach(
@@ -175,21 +177,19 @@ def fitted(scene: Scene, used: int) -> Scene:
 def _enlarge(adaptivity: Adaptivity, blocks: int) -> Adaptivity:
     elements, (limits, forest) = blocks * BLOCK, adaptivity
     nodes = node_room(elements, forest.first_nodes, forest.owner.size)
-    return Adaptivity(dataclasses.replace(limits, elements=elements), dataclasses.replace(forest, node_room=nodes))
+    return dataclasses.replace(limits, elements=elements), dataclasses.replace(forest, node_room=nodes)
 
 
 def _replace_adaptivity(scene: Scene, adaptivity: Adaptivity) -> Scene:
-    tables = dataclasses.replace(scene.tables, forest=adaptivity.forest)
-    return dataclasses.replace(scene, tables=tables, refinement=adaptivity.limits)
+    limits, forest = adaptivity
+    return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, forest=forest), refinement=limits)
 
 
 def enlarge_capacity(scene: Scene, adaptivity: Adaptivity, state: State) -> tuple[Scene, State]:
     """A scene with twice the capacity for elements, and the state as it was before the capacity was exceeded."""
-    more, mesh = (
-        _enlarge(adaptivity, capacities.refined_capacity(2 * adaptivity.limits.elements) // BLOCK),
-        state.refined_mesh,
-    )
-    elements, nodes = more.limits.elements, more.forest.node_room
+    (limits, _), mesh = adaptivity, state.refined_mesh
+    more = _enlarge(adaptivity, capacities.refined_capacity(2 * limits.elements) // BLOCK)
+    elements, nodes = more[0].elements, more[1].node_room
     beyond = _pad(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
     grown = dataclasses.replace(
         mesh,
@@ -243,7 +243,8 @@ def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivit
 
 def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None) -> jax.Array:
     """Unit normal, thickness [m], and distance by which a bent part of the mold is in base reach [m] (5, capacity)."""
-    elements, bend = discrete.whole.elements, adaptivity.forest.bend
+    elements, (limits, forest) = discrete.whole.elements, adaptivity
+    bend = forest.bend
     rows = membrane.unstack_rows(positions)
     thickness = discrete.thickness[discrete.whole.element]
 
@@ -254,7 +255,7 @@ def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, gr
         x, y, z = (component / size for component in normal)
         near = jnp.zeros_like(size)
         if bend is not None and grid is not None:
-            near = _within_reach(first, edge1, edge2, bend, grid, adaptivity.limits.proximity_factor)
+            near = _within_reach(first, edge1, edge2, bend, grid, limits.proximity_factor)
         return [[x, y, z, 2.0 * area * thickness / size, near]], []
 
     inputs = elements.triangles, elements.area, thickness
@@ -335,7 +336,7 @@ def _bisect_state(
     active: ActiveSet | None,
 ) -> tuple[State, Discretization]:
     """The state with the queue's triangles bisected."""
-    differentiable, forest, properties = active is None, adaptivity.forest, discrete.forest_properties
+    differentiable, (_, forest), properties = active is None, adaptivity, discrete.forest_properties
     before, state = state, synchronize_velocity(state, scene, discrete, active)
     mesh = dataclasses.replace(bisect_mesh(state.refined_mesh, queue, forest), split_at=split_at)
     body = refined_discretization(scene, forest, mesh, properties)

@@ -126,7 +126,7 @@ def add_sides(mesh: RefinedMesh, forest: BisectionHierarchy) -> RefinedMesh:
 
 def initial_mesh(scene: Scene, adaptivity: Adaptivity) -> RefinedMesh:
     """The mesh at the start of a run: that of the scene, refined at once where its tables say so."""
-    mesh, forest = first_mesh(scene, adaptivity), adaptivity.forest
+    mesh, (_, forest) = first_mesh(scene, adaptivity), adaptivity
     if forest.fine_at_once is None:
         return mesh
     found = forest.fine_at_once

@@ -92,16 +92,11 @@ class BackwardNodes(NamedTuple):
     vertices: jax.Array | None
 
 
-class AdjointStep(NamedTuple):
-    """Between two steps: the number of the earlier one and its length, and the kicks of both [s].
+AdjointStep = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+"""Between two steps: the number of the earlier one and its length, its kick and that of the later one [s].
 
-    Before the first step there is one of no length.
-    """
-
-    number: jax.Array
-    length: jax.Array
-    kick: jax.Array
-    later_kick: jax.Array
+Before the first step there is one of no length.
+"""
 
 
 def _half_damping(kick: jax.Array, damping: jax.Array | None) -> jax.Array | float:
@@ -164,10 +159,10 @@ def add_loss_cotangents(
     """
     elements = now.packed.elements
     forces, _ = corner_forces(load, elements, corners[3:])
-    kick = turn.later_kick
+    number, _, _, kick = turn
 
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
-        flies = landed > turn.number
+        flies = landed > number
         nodal = add_gravity(gather_shares(forces, own), mass, now.scene.solver.gravity)
         before = _velocities_before(nodal, after, kept, (flies, compliance), kick, now, end)
         share = jnp.where(flies, 0.5 * loss * kick * mass * damping, 0.0)
@@ -175,7 +170,7 @@ def add_loss_cotangents(
         more = [more, force_cotangent(more, compliance, kick, now)]
         return [[x + own for x, own in zip(*pair, strict=True)] for pair in zip(old, more, strict=True)], []
 
-    kept = end.velocities_before(turn.number + 1)
+    kept = end.velocities_before(number + 1)
     inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, nodes.speeds, kept
     into = [nodes.velocities, nodes.force]
     new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
@@ -200,11 +195,12 @@ def step_nodes_back(
     Nodes that landed in the earlier one are left for `_landings`.
     """
     elements, damping = now.packed.elements, now.scene.solver.damping
-    kick, half = turn.later_kick, _half_damping(turn.later_kick, damping)
+    number, length, early_kick, kick = turn
+    half = _half_damping(kick, damping)
 
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
         at, after, position, velocity, (power,), *more = old
-        flies = landed > turn.number
+        flies = landed > number
         both = gather_shares(corners, own)
         pulled, nodal = both[:3], add_gravity(both[3:], mass, now.scene.solver.gravity)
         before = _velocities_before(nodal, after, kept, (flies, compliance), kick, now, end)
@@ -219,13 +215,13 @@ def step_nodes_back(
             more = [[more[0][0] + rate * damping]]
             sums = [rate * mass - 0.5 * kick / (1.0 + half) * dot(vector(velocity), twice)]
             velocity = [ratio * g + share * both for g, both in zip(velocity, twice, strict=True)]
-        velocity = [g + turn.length * x for g, x in zip(velocity, position, strict=True)]
+        velocity = [g + length * x for g, x in zip(velocity, position, strict=True)]
         velocity = materialize(velocity)
-        force = [jnp.where(flies, f, 0.0) for f in force_cotangent(velocity, compliance, turn.kick, now)]
-        at = [x - jnp.where(flies, turn.length * v, 0.0) for x, v in zip(at, before, strict=True)]
+        force = [jnp.where(flies, f, 0.0) for f in force_cotangent(velocity, compliance, early_kick, now)]
+        at = [x - jnp.where(flies, length * v, 0.0) for x, v in zip(at, before, strict=True)]
         return [at, before, position, velocity, power, *more, force], sums
 
-    kept = end.velocities_before(turn.number + 1)
+    kept = end.velocities_before(number + 1)
     inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, kept
     updated = [nodes.at, nodes.speeds, nodes.positions, nodes.velocities, nodes.compliance[None]]
     updated += [nodes.mass[None]] if damping is not None else []
@@ -270,14 +266,15 @@ def pull_back_rim(
         The nodes; the cotangents of the rim's ends at the step's begin (3, 2, n_edge), for `add_rim_cotangents` once
         all nodes are there; and the volume that the rim swept [m^3].
     """
+    number, length, kick, _ = turn
     landed = now.landing_step[places]
-    begin = jnp.where(landed == turn.number, rim_ends(before, places), rim_ends(nodes.at, places))
+    begin = jnp.where(landed == number, rim_ends(before, places), rim_ends(nodes.at, places))
     origin = now.packed.elements.origin
     swept, pull = jax.vjp(lambda begin, after: rim_swept_volume(begin, after, origin), begin, after)
     early, late = pull(cotangent)
-    speeds = turn.length * jnp.where(landed > turn.number, late, 0.0)
+    speeds = length * jnp.where(landed > number, late, 0.0)
     compliance = rim_ends(now.compliance, places)
-    force = jnp.stack(force_cotangent(unstack_rows(speeds), unstack_rows(compliance), turn.kick, now))
+    force = jnp.stack(force_cotangent(unstack_rows(speeds), unstack_rows(compliance), kick, now))
     nodes = add_rim_cotangents(nodes, late, places)
     velocities, power = nodes.velocities.at[:, places].add(speeds), nodes.force.at[:, places].add(force)
     return nodes._replace(velocities=velocities, force=power), early, swept
@@ -306,7 +303,8 @@ def pull_back_landings(
     """
     wall, begin_time = at
     grid = now.scene.surfaces[0].grid
-    number, time = turn.number, begin_time + (turn.number + 1) * turn.length
+    number, length, kick, _ = turn
+    time = begin_time + (number + 1) * length
     places, count = compact_indices(now.landing_step == number, now.landing_step.size)
 
     def one(k: jax.Array, nodes: BackwardNodes) -> BackwardNodes:
@@ -324,7 +322,7 @@ def pull_back_landings(
                 Nodes(after, velocity, free, jnp.zeros_like(mass), none, None, {}), none, jnp.zeros_like(time)
             )
             triangle = ContactSurface(Mold(corners, jnp.arange(3, dtype=jnp.int32)[None]), grid)
-            landing = sticking.ContactStep(turn.length, time, number)
+            landing = sticking.ContactStep(length, time, number)
             there = sticking.place_on_surfaces(flying, landing, (mass, None), (triangle,), none, differentiable=True)
             return there.nodes.positions, there.nodes.contact_time, there.loss
 
@@ -332,11 +330,11 @@ def pull_back_landings(
         old = materialize(jax.tree.map(read_node, nodes._replace(damping=None, gravity=None, vertices=None)))
         begin = read_node(before)
         triangle = mold.triangles[jnp.abs(read_node(wall)[0]) - 1]
-        after = begin + turn.length * old.speeds
+        after = begin + length * old.speeds
         _, pull = jax.vjp(land, after, old.speeds, read_node(now.mass), mold.vertices[triangle])
         position, velocity, mass, corners = pull((old.positions, old.contact_time, loss))
-        velocity = velocity + turn.length * position
-        force = force_cotangent(unstack_rows(velocity), unstack_rows(read_node(now.compliance)), turn.kick, now)
+        velocity = velocity + length * position
+        force = force_cotangent(unstack_rows(velocity), unstack_rows(read_node(now.compliance)), kick, now)
         return BackwardNodes(
             at=write_node(nodes.at, begin),
             speeds=nodes.speeds,

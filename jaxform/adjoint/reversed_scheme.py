@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.adjoint.backward import (
-    AdjointStep,
     BackwardNodes,
     ReverseStart,
     ReverseWindow,
@@ -327,9 +326,7 @@ def _reverse_steps(
     def reverse_step(carry: _ReverseState) -> _ReverseState:
         n, nodes, corners = carry.number, carry.nodes, carry.corners
         first = n == 0
-        turn = AdjointStep(
-            n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]), later_kick=now.kick[n]
-        )
+        turn = n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]), now.kick[n]
         load = Load(nodes.at, now.thickness, now.pressure[n], now.material)
         damping = scene.solver.damping
         if damping is not None:

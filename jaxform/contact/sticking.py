@@ -195,23 +195,18 @@ def _block(
     return node, triangle, beta, meets & used & ~blocked
 
 
-class FirstHits(NamedTuple):
-    """The first triangles that nodes meet in a step.
+FirstHits = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+"""The first triangles that nodes meet in a step.
 
-    The least beta, infinite where none is met, and its triangle (n_node,), then -1; the nodes that meet any, as a list,
-    and their number.
-    """
-
-    beta: jax.Array
-    triangle: jax.Array
-    listed: jax.Array
-    count: jax.Array
+The least beta, infinite where none is met, and its triangle (n_node,), then -1; the nodes that meet any, as a list,
+and their number.
+"""
 
 
 def no_hits(node_count: int, real: jnp.dtype) -> FirstHits:
     """The hits before a step: none. Each step leaves this workspace as it was, so that it is made once."""
     number, listed = jnp.full(node_count, -1, jnp.int32), jnp.zeros(node_count + 1, jnp.int32)
-    return FirstHits(jnp.full(node_count, jnp.inf, real), number, listed, jnp.int32(0))
+    return jnp.full(node_count, jnp.inf, real), number, listed, jnp.int32(0)
 
 
 def _first_hits(
@@ -265,7 +260,7 @@ def _update_hits(found: FirstHits, block: tuple[jax.Array, jax.Array, jax.Array,
         nodes = put(nodes, here[None], count)
         best = put(best, jnp.where(better, own, least)[None], here)
         chosen = put(chosen, jnp.where(better, number, last)[None], here)
-        return next_one(k), FirstHits(best, chosen, nodes, count + (last < 0))
+        return next_one(k), (best, chosen, nodes, count + (last < 0))
 
     return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
 
@@ -296,9 +291,11 @@ def _place_hit_nodes(
             _lying_parts(nodes, number, surface),
         )
 
+    beta, chosen, listed, count = met
+
     def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
         landing, beta, chosen = carry
-        node = entry(met.listed, k)
+        node = entry(listed, k)
 
         def read_node(values: jax.Array) -> jax.Array:
             return values if values.ndim == 0 else slice_at(values, node, 1)
@@ -322,8 +319,8 @@ def _place_hit_nodes(
         beta, chosen = put(beta, jnp.full_like(beta[:1], jnp.inf), node), put(chosen, jnp.full_like(triangle, -1), node)
         return landing, beta, chosen
 
-    landing, beta, chosen = jax.lax.fori_loop(0, met.count, one, (landing, met.beta, met.triangle))
-    return landing, FirstHits(beta, chosen, met.listed, jnp.int32(0))
+    landing, beta, chosen = jax.lax.fori_loop(0, count, one, (landing, beta, chosen))
+    return landing, (beta, chosen, listed, jnp.int32(0))
 
 
 def touches_already(nodes: Nodes, number: int, surface: ContactSurface, over: jax.Array | None = None) -> jax.Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -42,6 +42,7 @@ def end_window(
     now: WindowData,
 ) -> PackedState:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
+    kinetic, behind, largest, tool = end
     account = dataclasses.replace(moving.account, gravity_work=_add_gravity_work(state, moving, scene, now))
     work = jax.lax.stop_gradient(account.work)
     new = dataclasses.replace(
@@ -51,9 +52,9 @@ def end_window(
         account=dataclasses.replace(
             account,
             peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
-            kinetic_peak=jnp.maximum(state.account.kinetic_peak, end.kinetic),
-            kinetic_excess=end.behind - end.kinetic,
-            tool_last=end.tool,
+            kinetic_peak=jnp.maximum(state.account.kinetic_peak, kinetic),
+            kinetic_excess=behind - kinetic,
+            tool_last=tool,
         ),
         control=dataclasses.replace(state.control, step_length=now.length, bound=now.bound),
         time=state.time + moving.count * now.length,
@@ -78,9 +79,9 @@ def end_window(
         status |= jnp.where(searched[1], Status.CONTACT_OVERFLOW, 0)
     box = scene.tables.box
     if box is None:
-        status |= jnp.where((end.largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
+        status |= jnp.where((largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
     else:
-        status |= jnp.where((end.largest > box.reach) & ~bad, Status.ESCAPED, 0)
+        status |= jnp.where((largest > box.reach) & ~bad, Status.ESCAPED, 0)
     retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
     if now.row is not None:
         spent = moving.count * now.length
@@ -145,18 +146,13 @@ def _next_span(
     return jnp.where(rejected, jnp.minimum(SHORT_WINDOW, longest), span)
 
 
-class WindowEnd(NamedTuple):
-    """Quantities at a window's end.
+WindowEnd = tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]
+"""Quantities at a window's end.
 
-    Kinetic energy [J], and that of the velocities, which are half a step behind. The largest coordinate [m], counted
-    from the middle of sheet and mold where there is a mold; not finite where any position is not. The work of the tool
-    with the force of now [J]; None where it rests.
-    """
-
-    kinetic: jax.Array
-    behind: jax.Array
-    largest: jax.Array
-    tool: jax.Array | None
+Kinetic energy [J], and that of the velocities, which are half a step behind. The largest coordinate [m], counted from
+the middle of sheet and mold where there is a mold; not finite where any position is not. The work of the tool with the
+present force [J]; None where it rests.
+"""
 
 
 def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> tuple[WindowEnd, Corners]:
@@ -205,7 +201,7 @@ def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> 
     inputs = gather_table(elements), nodes, positions, moving.nodes.velocities, *touched
     sums = 2 + moves
     _, (kinetic, behind, *tool, largest) = over_blocks(work, elements.node_block_count, inputs, [], sums=sums, most=1)
-    return WindowEnd(kinetic, behind, largest, tool[0] if tool else None), corners
+    return (kinetic, behind, largest, tool[0] if tool else None), corners
 
 
 def _health(
@@ -216,10 +212,11 @@ def _health(
     law = active.law(scene.material)
     energy, volume = element_energy(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)
     strain, volume = energy + active.idle_energy, volume + active.idle_volume
-    held = strain + end.kinetic + sum(state.account.losses().values())
+    kinetic, _, largest, _ = end
+    held = strain + kinetic + sum(state.account.losses().values())
     excess = held - state.account.work - last_work(state, scene, volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding
-    finite = jnp.isfinite(end.largest + end.kinetic)
+    finite = jnp.isfinite(largest + kinetic)
     status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
     return status, excess

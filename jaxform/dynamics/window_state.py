@@ -130,7 +130,8 @@ def _first_memory(scene: Scene, mesh: RefinedMesh | None, heat: ThermalState | N
     if scene.material.shift is not None and scene.parison.temperature is not None:
         modes = present_discretization(scene, mesh, discretize(scene)).with_zones(heat, scene.material).modes or modes
     if mesh is not None and adaptivity is not None:
-        return modes.initial_stress(adaptivity.forest.sheet.inverse_metric[:, mesh.element])
+        _, forest = adaptivity
+        return modes.initial_stress(forest.sheet.inverse_metric[:, mesh.element])
     # In the basis that elements are worked through in.
     return modes.initial_stress(scene.tables.sheet.inverse_metric if pairs is None else pairs.inverse_metric)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -130,11 +130,8 @@ class Refinement:
         return int(max(self.max_level, self.base_level))
 
 
-class Adaptivity(NamedTuple):
-    """Adaptive refinement: its limits, and the hierarchy of triangles that the mesh can be refined to."""
-
-    limits: Refinement
-    forest: BisectionHierarchy
+Adaptivity = tuple[Refinement, BisectionHierarchy]
+"""Adaptive refinement: its limits, and the hierarchy of triangles that the mesh can be refined to."""
 
 
 @pytree
@@ -232,7 +229,7 @@ class Scene:
     def adaptivity(self) -> Adaptivity | None:
         """Limits and hierarchy of the adaptive refinement; None for a fixed mesh."""
         limits, forest = self.refinement, self.tables.forest
-        return None if limits is None or forest is None else Adaptivity(limits, forest)
+        return None if limits is None or forest is None else (limits, forest)
 
     @property
     def first_nodes(self) -> int:

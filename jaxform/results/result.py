@@ -256,7 +256,7 @@ def make_result(
     reference = scene.parison.positions.T
     triangles, level, used = sheet.triangles, jnp.zeros(sheet.area.size, jnp.int32), sheet.area > 0.0
     if mesh is not None and adaptivity is not None:
-        forest = adaptivity.forest
+        _, forest = adaptivity
         place = jnp.arange(forest.owner.size)
         first_nodes = forest.first_nodes if counts is None else counts.nodes
         active, node = (place < first_nodes) | (mesh.place > 0), mesh.place
@@ -379,7 +379,8 @@ def _added_mass(scene: Scene, now: Discretization, mesh: RefinedMesh | None) -> 
     adaptivity, volume = scene.adaptivity, now.sheet.area * now.thickness
     if adaptivity is None or mesh is None:
         return jnp.zeros((), volume.dtype)
-    return jnp.sum(volume * (adaptivity.forest.mass_scale[mesh.element] - 1.0)) / jnp.sum(volume)
+    _, forest = adaptivity
+    return jnp.sum(volume * (forest.mass_scale[mesh.element] - 1.0)) / jnp.sum(volume)
 
 
 def drop_unused(scene: Scene, result: Result) -> tuple[Scene, Result]:

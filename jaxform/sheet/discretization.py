@@ -124,7 +124,7 @@ def discretize(scene: Scene) -> Discretization:
     """The sheet of a scene; of a refined one as it is at first."""
     tables = scene.tables
     if scene.adaptivity is not None:
-        forest = scene.adaptivity.forest
+        _, forest = scene.adaptivity
         volumes, mesh = _volumes(scene, forest), first_mesh(scene, scene.adaptivity)
         nodal = scene.material.zones, _nodal_temperature(scene)
         zones, temperature = jax.tree.map(lambda own: _forest_mean(own, forest, volumes), nodal)
@@ -151,7 +151,7 @@ def present_discretization(
     """The sheet as it is with a mesh, from what it was at first; with one, the whole may be stepped as it is."""
     if mesh is None or first.volumes is None or scene.adaptivity is None:
         return first
-    forest = scene.adaptivity.forest
+    _, forest = scene.adaptivity
     return refined_discretization(scene, forest, mesh, first.forest_properties, stepped=stepped)
 
 
@@ -204,7 +204,8 @@ def _forest_mean(nodal: jax.Array, forest: BisectionHierarchy, volumes: jax.Arra
 
 def first_mesh(scene: Scene, adaptivity: Adaptivity) -> RefinedMesh:
     """The mesh before it is refined."""
-    forest, room = adaptivity.forest, adaptivity.limits.elements
+    limits, forest = adaptivity
+    room = limits.elements
     roots = jnp.arange(forest.root_count, dtype=jnp.int32)
     counts = scene.tables.counts or Counts(jnp.int32(forest.root_count), jnp.int32(forest.first_nodes))
     node = jnp.arange(forest.node_room, dtype=jnp.int32)

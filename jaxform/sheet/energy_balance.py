@@ -163,7 +163,8 @@ def rim_places(scene: Scene, mesh: RefinedMesh | None, packed: Packed) -> jax.Ar
         return None
     if mesh is None or rim.triangle is None or scene.adaptivity is None:
         return packed.place[rim.ends]
-    roots, own = scene.adaptivity.forest.root_count, rim.triangle
+    _, forest = scene.adaptivity
+    roots, own = forest.root_count, rim.triangle
     parent = jnp.maximum(own - roots, 0) // 2
     there = (mesh.split_at[own] == NEVER) & ((own < roots) | (mesh.split_at[parent] != NEVER))
     return packed.place[jnp.where(there, mesh.place[rim.ends], 0)]

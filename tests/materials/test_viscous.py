@@ -226,7 +226,7 @@ def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
     scene = scenes.refinable(jaxform.shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 64)
     adaptivity = scene.adaptivity
     assert adaptivity is not None
-    forest, before = adaptivity.forest, first_mesh(scene, adaptivity)
+    (_, forest), before = adaptivity, first_mesh(scene, adaptivity)
     wanted = jnp.asarray([0, 5], jnp.int32)
     split_at, queue = remeshing.close_queue(before.split_at, wanted, jnp.int32(2), forest, jnp.int32(0))
     after = dataclasses.replace(remeshing.bisect_mesh(before, queue, forest), split_at=split_at)
