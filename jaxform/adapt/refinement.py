@@ -126,7 +126,7 @@ def _planned_queue(
     state: State, _: Discretization, adaptivity: Adaptivity, planned: jax.Array
 ) -> tuple[jax.Array, Queue]:
     """Windows of the triangles' bisection (n_triangle,), with those planned by now, and the queue of the new ones."""
-    mesh, (_, forest) = state.refined_mesh, adaptivity
+    mesh, forest = state.refined_mesh, adaptivity[1]
     new = planned & (mesh.split_at == NEVER)
     return jnp.where(new, state.windows, mesh.split_at), make_queue(*compact_indices(new, mesh.element.size), forest)
 
