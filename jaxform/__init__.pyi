@@ -6,7 +6,19 @@ from .core.compilation import compiler_options, keep_programs
 from .core.errors import InputError, InputWarning
 from .core.parameters import parameter
 from .io.files import load
-from .loads import Gas, GasSupply, Interval, Loading, Pressure, loading, make_gas, make_gas_supply, make_pressure
+from .loads import (
+    Gas,
+    GasSupply,
+    Interval,
+    Loading,
+    Pressure,
+    TwoSidedLoad,
+    loading,
+    make_gas,
+    make_gas_supply,
+    make_pressure,
+    make_two_sided_load,
+)
 from .materials import (
     Arrhenius,
     ArrheniusStiffness,
@@ -95,6 +107,7 @@ __all__ = [
     "Stored",
     "Surroundings",
     "Trim",
+    "TwoSidedLoad",
     "Wlf",
     "Yeoh",
     "build_scene",
@@ -117,6 +130,7 @@ __all__ = [
     "make_pressure",
     "make_refinement",
     "make_solver",
+    "make_two_sided_load",
     "molds",
     "padded",
     "parameter",

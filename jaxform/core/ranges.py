@@ -84,7 +84,7 @@ RANGES: dict[str, Range] = {
     "gas.gas_constant": Range("J/(kg K)", above=0.0),
     "gas.ambient_pressure": Range("Pa", least=0.0),
     "gas.dead_volume": Range("m^3", least=0.0),
-    "gas.supply_pressure": Range("Pa", least=0.0),
+    "gas.supply_pressure": Range("Pa"),
     "gas.valve": Range(least=0.0, most=1.0),
     "gas.orifice_area": Range("m^2", least=0.0),
     "gas.vent": Range(least=0.0, most=1.0),

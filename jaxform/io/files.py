@@ -33,7 +33,7 @@ from jaxform.io.geometry import (
 from jaxform.io.model_files import import_models_of
 from jaxform.io.scene_checks import warn_of_scene, warn_of_thin_features
 from jaxform.io.validation import validate
-from jaxform.loads import Loading, make_gas, make_gas_supply, make_pressure
+from jaxform.loads import Loading, make_gas, make_pressure, make_two_sided_load
 from jaxform.mesh import bisection, meshes, shapes
 from jaxform.mesh.profiles import Profile
 from jaxform.model.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
@@ -257,12 +257,13 @@ def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Tri
 
 
 def _loading(model: schema.SceneFile) -> Loading:
-    """The gas or the pressure history; a scene that gravity or a moving mold drives has no pressure."""
-    if model.gas is not None:
-        make = make_gas_supply if model.gas.through_orifices else make_gas
-        return make(**model.gas.model_dump(exclude={"closed_by"}, exclude_none=True))
-    table = model.pressure
-    return make_pressure([0.0], [0.0]) if table is None else make_pressure(table.time, table.value, table.interpolation)
+    """The gases or the pressure history; a scene that gravity or a moving mold drives has no pressure."""
+    gases = [make_gas(**gas.model_dump(exclude_none=True)) for gas in model.gases]
+    if (table := model.pressure) is not None:
+        gases.insert(0, make_pressure(table.time, table.value, table.interpolation))
+    if not gases:
+        return make_pressure([0.0], [0.0])
+    return gases[0] if len(gases) == 1 else make_two_sided_load(*gases)
 
 
 def _extend_sheet(sheet: shapes.Sheet, forest: bisection.TriangleForest | None) -> shapes.Sheet:

@@ -14,6 +14,7 @@ from jaxform.core.pytree import as_real
 from jaxform.io.canvas import ProcessHistory
 from jaxform.io.surfaces import tool_colors
 from jaxform.io.tool_checks import offsets_of
+from jaxform.loads import TwoSidedLoad
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 from jaxform.results.tool_contact import contact_shares, contact_shares_over_time, tool_label
@@ -66,8 +67,10 @@ def _moving_spans(tools: Sequence[Mold], end: float) -> dict[str, list[tuple[flo
 def _times(scene: Scene, tools: Sequence[Mold], end: float) -> Array:
     """Times (n,) [s] of the table: even ones, and the knots of pressure and motions."""
     knots = [np.asarray(tool.motion.time, float) for tool in tools if tool.motion is not None]
-    own = getattr(scene.pressure, "time", None)
-    knots += [] if own is None else [np.atleast_1d(np.asarray(own, float))]
+    load = scene.pressure
+    for part in (load.inside, load.trapped) if isinstance(load, TwoSidedLoad) else (load,):
+        own = getattr(part, "time", None)
+        knots += [] if own is None else [np.atleast_1d(np.asarray(own, float))]
     found = np.concatenate([np.linspace(0.0, end, _TIMES), *knots])
     return np.unique(found[(found >= 0.0) & (found <= end)])
 

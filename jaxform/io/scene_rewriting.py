@@ -162,6 +162,11 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
     *sections, last = key.split(".")
     if sections[:1] == ["tool"] and (place := _find_tool(data.get("tool"), sections[1])) is not None:
         data, sections = data["tool"][place], sections[2:]
+    if sections[:1] == ["gas"] and len(sections) == 2:
+        tables = data["gas"] if isinstance(data["gas"], list) else [data["gas"]]
+        ours = [table for table in tables if table.get("closed_by", "clamp") == sections[1]]
+        # Without a gas inside the sheet, its pressure history is there.
+        data, sections = (ours or [data.setdefault("pressure", {})])[0], []
     for section in sections:
         data = data.setdefault(section, {})
     data[last] = value
@@ -191,19 +196,21 @@ def _is_of_tables(value: Any) -> bool:
 # Numbers that a scene has at another place than its file.
 
 _MOTION = ("direction", "time", "displacement")
+_SIDES = {"clamp": "inside", "mold": "trapped"}  # loads of a `TwoSidedLoad`, by what closes the gas
 
 
 def replacement_path(key: str) -> str:
     """The path for `jaxform.replace` of a key of a scene file.
 
-    tool.plug.friction is tools.plug.contact.friction, gas.mass_flow is pressure.mass_flow.
+    tool.plug.friction is tools.plug.contact.friction, gas.mass_flow is pressure.mass_flow, and where there are loads on
+    both sides, gas.mold.vent_area is pressure.trapped.vent_area.
     """
     steps = key.split(".")
     if steps[0] == "tool" and len(steps) == 3:
         part = {"friction": "contact"} | dict.fromkeys(_MOTION, "motion")
         return ".".join(["tools", steps[1], *([part[steps[2]]] if steps[2] in part else []), steps[2]])
     if steps[0] == "gas":
-        return ".".join(["pressure", *steps[1:]])
+        return ".".join(["pressure", *(_SIDES.get(step, step) for step in steps[1:])])
     return "mold.contact.friction" if key == "mold.friction" else key
 
 
@@ -213,8 +220,11 @@ def file_key(path: str) -> str:
     if found is not None:
         return f"tool.{found[1]}.{found[2]}"
     section, _, name = path.partition(".")
-    if section == "pressure" and name not in ("time", "value"):
-        return f"gas.{name}"
+    if section == "pressure" and name.removeprefix("inside.") == "value":
+        return "pressure.value"
+    if section == "pressure" and name != "time":
+        sides = {side: closed_by for closed_by, side in _SIDES.items()}
+        return ".".join(["gas", *(sides.get(step, step) for step in name.split("."))])
     return "mold.friction" if path == "mold.contact.friction" else path
 
 

@@ -3,7 +3,9 @@
 from jaxform.loads.gas import Gas, make_gas
 from jaxform.loads.history import Pressure, make_pressure
 from jaxform.loads.loading import Interval, Loading, LoadState, first_pressure, loading, next_pressure
-from jaxform.loads.supply import GasSupply, make_gas_supply
+from jaxform.loads.two_sided import TwoSidedLoad, list_gases, make_two_sided_load
+
+GasSupply, make_gas_supply = Gas, make_gas  # older names of the same, kept for scripts
 
 __all__ = [
     "Gas",
@@ -12,10 +14,13 @@ __all__ = [
     "LoadState",
     "Loading",
     "Pressure",
+    "TwoSidedLoad",
     "first_pressure",
+    "list_gases",
     "loading",
     "make_gas",
     "make_gas_supply",
     "make_pressure",
+    "make_two_sided_load",
     "next_pressure",
 ]

@@ -1,8 +1,8 @@
-"""A gas that is blown into the sheet at a given mass flow: its pressure follows from the enclosed volume."""
+"""A gas inside the sheet, or between it and the mold: its pressure follows from its mass and the enclosed volume."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,26 +11,56 @@ from numpy.typing import ArrayLike
 
 from jaxform.core.errors import InputError
 from jaxform.core.parameters import ranged_parameter
-from jaxform.core.pytree import as_real
-from jaxform.core.ranges import RANGES, as_numbers, check
-from jaxform.loads.loading import Loading, loading
+from jaxform.core.pytree import as_real, static
+from jaxform.core.ranges import RANGES, Range, as_numbers, check
+from jaxform.loads.loading import Interval, Loading, loading
+from jaxform.loads.orifice import mean_decay, orifice_flow
+
+_CLOSED_BY = ("clamp", "mold")
+
+
+class GasState(NamedTuple):
+    """State of a gas that exchanges no heat.
+
+    Attributes:
+        mass: [kg].
+        heat: Mass times temperature [kg K].
+    """
+
+    mass: jax.Array
+    heat: jax.Array
 
 
 @loading
 class Gas(Loading):
-    """An ideal gas of constant temperature inside the sheet; its gauge pressure is m R T / (V + dead volume) - ambient.
+    """An ideal gas with a mass flow, and perhaps a valve and a vent; its gauge pressure is m R T / V - ambient.
 
-    At first it is at ambient pressure. So the pressure is a result, and a sheet passes the maximum of its pressure as
-    it grows. Mass flow, volumes and mass are those of the modelled part: of a quarter a quarter.
+    At first it is at ambient pressure. Its pressure is a result, and a sheet passes the maximum of its pressure as it
+    grows. The gas is inside the sheet, or, closed by the mold, on its other side, where it resists the sheet: then its
+    volume is the dead volume less that under the sheet. It has a constant temperature, or, adiabatic, its own: it
+    exchanges no heat, and what flows in, from the supply or from outside, brings enthalpy at `temperature`.
+
+    The valve lets gas flow in from the supply while its pressure is higher, and back otherwise; the vent connects the
+    gas with the outside; see `orifice_flow`. Areas, mass flow, volumes and mass are those of the modelled part: of a
+    quarter a quarter.
 
     Attributes:
-        time: Knots (n_knot,) [s], increasing.
-        mass_flow: Mass flow at the knots (n_knot,) [kg/s], linear between them and held before and after; negative
-            where gas leaves.
-        temperature: Temperature of the gas [K].
-        gas_constant: Specific gas constant [J/(kg K)]: 287.06 of air.
+        time: Knots (n_knot,) [s], increasing; all values at them are linear between and held before and after.
+        mass_flow: Mass flow besides that of valve and vent (n_knot,) [kg/s]; negative where gas leaves.
+        temperature: Temperature of the gas at first, and of what flows in [K].
+        gas_constant: Specific gas constant R [J/(kg K)]: 287.06 of air.
         ambient_pressure: Absolute pressure outside [Pa].
-        dead_volume: Volume of the gas beside that under the sheet [m^3]: of hoses, and under a flat sheet.
+        dead_volume: Volume of the gas beside that under the sheet [m^3]: of hoses, and under a flat sheet; closed by
+            the mold, that of the mold's cavity, from which the volume under the sheet is taken.
+        heat_capacity_ratio: k of the gas.
+        supply_pressure: Gauge pressure of the supply (n_knot,) [Pa]; None, as the two that follow, without a valve.
+        valve: Opening of the valve (n_knot,), from 0 to 1.
+        orifice_area: Area of the open valve [m^2].
+        vent: Opening of the vent (n_knot,), from 0 to 1; None, as its area, without a vent.
+        vent_area: Area of the open vent [m^2].
+        discharge_coefficient: Of valve and vent.
+        adiabatic: Whether the gas exchanges no heat; else its temperature is constant.
+        closed_by: What closes the volume of the gas: "clamp" for that under the sheet, or "mold".
     """
 
     follows_volume: ClassVar[bool] = True
@@ -41,18 +71,49 @@ class Gas(Loading):
     gas_constant: jax.Array = ranged_parameter(RANGES["gas.gas_constant"])
     ambient_pressure: jax.Array = ranged_parameter(RANGES["gas.ambient_pressure"])
     dead_volume: jax.Array = ranged_parameter(RANGES["gas.dead_volume"])
+    heat_capacity_ratio: jax.Array | None = ranged_parameter(RANGES["gas.heat_capacity_ratio"], default=None)
+    supply_pressure: jax.Array | None = ranged_parameter(RANGES["gas.supply_pressure"], default=None)
+    valve: jax.Array | None = ranged_parameter(RANGES["gas.valve"], default=None)
+    orifice_area: jax.Array | None = ranged_parameter(RANGES["gas.orifice_area"], default=None)
+    vent: jax.Array | None = ranged_parameter(RANGES["gas.vent"], default=None)
+    vent_area: jax.Array | None = ranged_parameter(RANGES["gas.vent_area"], default=None)
+    discharge_coefficient: jax.Array | None = ranged_parameter(RANGES["gas.discharge_coefficient"], default=None)
+    adiabatic: bool = static(default=False)
+    closed_by: str = static(default="clamp")
 
-    def start(self, volume: jax.Array) -> jax.Array:
-        """The mass of the gas at first [kg], at ambient pressure."""
-        return self.ambient_pressure * (volume + self.dead_volume) / (self.gas_constant * self.temperature)
+    @property
+    def _specific_energy(self) -> jax.Array:
+        """R T [J/kg] at first, and of what flows in."""
+        return self.gas_constant * self.temperature
 
-    def at(self, time: jax.Array, volume: jax.Array, own: jax.Array) -> jax.Array:
-        """Gauge pressure [Pa] with an enclosed volume [m^3]; `own` is the mass at first [kg]."""
-        mass = own + self.inflow(time)
-        return mass * self.gas_constant * self.temperature / (volume + self.dead_volume) - self.ambient_pressure
+    def gas_volume(self, volume: jax.Array) -> jax.Array:
+        """Volume of the gas [m^3], with an enclosed volume [m^3] under the sheet."""
+        return volume + self.dead_volume if self.closed_by == "clamp" else self.dead_volume - volume
+
+    def start(self, volume: jax.Array) -> jax.Array | GasState:
+        """The mass of the gas at first [kg], at ambient pressure; with its heat where it is adiabatic."""
+        mass = self.ambient_pressure * self.gas_volume(volume) / self._specific_energy
+        return GasState(mass, mass * self.temperature) if self.adiabatic else mass
+
+    def at(self, time: jax.Array, volume: jax.Array, state: jax.Array | GasState) -> jax.Array:
+        """Gauge pressure [Pa] on the sheet with an enclosed volume [m^3]; negative where the gas resists the sheet."""
+        if isinstance(state, GasState):
+            energy = state.heat * self.gas_constant
+        elif self.discharge_coefficient is not None:
+            energy = state * self._specific_energy
+        else:
+            energy = (state + self.inflow(time)) * self.gas_constant * self.temperature
+        gauge = energy / self.gas_volume(volume) - self.ambient_pressure
+        return gauge if self.closed_by == "clamp" else -gauge
+
+    def after(self, state: jax.Array | GasState, interval: Interval) -> jax.Array | GasState:
+        """The state at the end of an interval; a mass without valve and vent remains that at first."""
+        if isinstance(state, GasState):
+            return self._after_without_heat(state, interval)
+        return state if self.discharge_coefficient is None else self._after_isothermal(state, interval)
 
     def inflow(self, time: jax.Array) -> jax.Array:
-        """Mass that has flowed in [kg] until a time [s], from the start at 0."""
+        """Mass that has flowed in [kg] until a time [s], from the start at 0; without that through valve and vent."""
         until = lambda moment: jnp.clip(moment, self.time[0], self.time[-1])  # noqa: E731
         if self.time.size == 1:
             return self.mass_flow[0] * time
@@ -67,34 +128,180 @@ class Gas(Loading):
         after = self.mass_flow[-1] * jnp.maximum(time - self.time[-1], 0.0)
         return before + between(until(time)) - between(until(jnp.zeros_like(time))) + after
 
+    def at_knots(self, values: jax.Array, time: jax.Array) -> jax.Array:
+        """A quantity of the knots (n_knot,) at a time [s]."""
+        return values[0] if self.time.size == 1 else jnp.interp(time, self.time, values)
+
+    def orifice_flow(
+        self, outside: jax.Array, inside: jax.Array, specific_energy: jax.Array | None = None
+    ) -> jax.Array:
+        """Mass flow [kg/s] per area [m^2] through valve or vent from one absolute pressure to another [Pa]."""
+        assert self.discharge_coefficient is not None and self.heat_capacity_ratio is not None
+        energy = self._specific_energy if specific_energy is None else specific_energy
+        return orifice_flow(outside, inside, self.discharge_coefficient, energy, self.heat_capacity_ratio)
+
+    def _openings(self, time: jax.Array) -> list[tuple[jax.Array, jax.Array]]:
+        """Absolute pressure outside [Pa] and open area [m^2] of valve and vent, those that it has, at a time [s]."""
+        found = []
+        if self.supply_pressure is not None:
+            assert self.valve is not None
+            supply = self.at_knots(self.supply_pressure, time) + self.ambient_pressure
+            found.append((supply, self.at_knots(self.valve, time) * self.orifice_area))
+        if self.vent is not None:
+            found.append((self.ambient_pressure, self.at_knots(self.vent, time) * self.vent_area))
+        return found
+
+    def _after_isothermal(self, mass: jax.Array, interval: Interval) -> jax.Array:
+        """The mass [kg] at the end of an interval: exponential in what the pressure does to the flow, of second order.
+
+        It is stable however fast the pressure follows; however long the interval, no pressure passes those beside it.
+        """
+        length = interval.length
+        middle = interval.time - 0.5 * length
+        volume = self.gas_volume(0.5 * (interval.before + interval.volume))
+        openings = self._openings(middle)
+        blown = self.at_knots(self.mass_flow, middle)
+
+        def flow(mass: jax.Array) -> jax.Array:
+            inside, total = mass * self._specific_energy / volume, blown
+            for outside, area in openings:
+                total = total + area * self.orifice_flow(outside, inside)
+            return total
+
+        rate, slope = jax.jvp(flow, (mass,), (jnp.ones_like(mass),))
+        ends = jnp.stack([mass, *(outside * volume / self._specific_energy for outside, _ in openings)])
+        low, high = ends.min() + jnp.minimum(blown, 0.0) * length, ends.max() + jnp.maximum(blown, 0.0) * length
+        return jnp.clip(mass + rate * length * mean_decay(-slope * length), low, high)
+
+    def _after_without_heat(self, state: GasState, interval: Interval) -> GasState:
+        """The state at the end of an interval: half of the change of volume, then the flow, then the other half."""
+        assert self.heat_capacity_ratio is not None
+        power = self.heat_capacity_ratio - 1.0
+        before, volume = self.gas_volume(interval.before), self.gas_volume(interval.volume)
+        middle = 0.5 * (before + volume)
+        expanded = state._replace(heat=state.heat * (before / middle) ** power)
+        filled = self._fill(expanded, interval.time - 0.5 * interval.length, interval.length, middle)
+        return filled._replace(heat=filled.heat * (middle / volume) ** power)
+
+    def _fill(self, state: GasState, middle: jax.Array, length: jax.Array, volume: jax.Array) -> GasState:
+        """The state after a flow of this length [s] about a time [s], at a constant volume [m^3]; of second order."""
+        openings, blown = self._openings(middle), self.at_knots(self.mass_flow, middle)
+        pressures, areas = (jnp.stack(each) for each in zip(*openings, strict=True)) if openings else ([], [])
+        k = self.heat_capacity_ratio
+        assert k is not None
+
+        def rates(state: GasState) -> GasState:
+            temperature = state.heat / state.mass
+            total, heat = blown, blown * jnp.where(blown > 0.0, self.temperature, temperature)
+            if openings:
+                inside = state.heat * self.gas_constant / volume
+                upstream = jnp.where(pressures > inside, self.temperature, temperature)
+                flows = areas * self.orifice_flow(pressures, inside, self.gas_constant * upstream)
+                total, heat = total + jnp.sum(flows), heat + jnp.sum(flows * upstream)
+            return GasState(total, k * heat)
+
+        rate = rates(state)
+        change = jax.jvp(rates, (state,), (rate,))[1]
+        mass, heat = (
+            old + one * length * mean_decay(-_ratio(two, one) * length)
+            for old, one, two in zip(state, rate, change, strict=True)
+        )
+        ends = jnp.stack([state.heat, *(outside * volume / self.gas_constant for outside, _ in openings)])
+        more = k * blown * length
+        low = ends.min() + jnp.minimum(more, 0.0) * state.heat / state.mass
+        return GasState(mass, jnp.clip(heat, low, ends.max() + jnp.maximum(more, 0.0) * self.temperature))
+
+
+def _ratio(part: jax.Array, whole: jax.Array) -> jax.Array:
+    """A quotient, 0 where its divisor is 0."""
+    none = whole == 0.0
+    return jnp.where(none, 0.0, part / jnp.where(none, 1.0, whole))
+
 
 def make_gas(
     time: ArrayLike,
-    mass_flow: ArrayLike,
+    mass_flow: ArrayLike = 0.0,
     *,
+    supply_pressure: ArrayLike | None = None,
+    orifice_area: float | None = None,
+    valve: ArrayLike = 1.0,
+    vent_area: float | None = None,
+    vent: ArrayLike = 1.0,
+    discharge_coefficient: float = 0.8,
+    heat_capacity_ratio: float = 1.4,
     temperature: float = 293.15,
     gas_constant: float = 287.06,
     ambient_pressure: float = 101325.0,
     dead_volume: float = 0.0,
+    adiabatic: bool = False,
+    closed_by: str = "clamp",
 ) -> Gas:
-    """A gas with a mass flow through knots (n_knot,): times [s], increasing, and flows [kg/s]; see `Gas`.
+    """A gas with knots at times (n_knot,) [s], increasing; with valve and vent where one of them is given; see `Gas`.
+
+    Args:
+        time: Knots.
+        mass_flow: Mass flow into the modelled part [kg/s], a number or one for each knot.
+        supply_pressure: Gauge pressure of the supply [Pa], a number or one for each knot; below 0, a vacuum, only where
+            the gas is closed by the mold.
+        orifice_area: Area of the open valve [m^2].
+        valve: Opening of the valve, from 0 to 1, a number or one for each knot.
+        vent_area: Area of the open vent [m^2].
+        vent: Opening of the vent, from 0 to 1, a number or one for each knot.
+        discharge_coefficient: Of valve and vent.
+        heat_capacity_ratio: Of the gas.
+        temperature: Of the gas [K].
+        gas_constant: [J/(kg K)].
+        ambient_pressure: Absolute pressure outside [Pa].
+        dead_volume: [m^3].
+        adiabatic: Whether the gas exchanges no heat.
+        closed_by: "clamp" or "mold".
 
     Raises:
-        InputError: If the knots do not increase, are not finite, or do not match; or if a number is out of its range.
+        InputError: If the knots do not increase, values do not match them, or a number is out of its range.
     """
     times = np.atleast_1d(as_numbers("gas.time", time))
-    flows = np.atleast_1d(as_numbers("gas.mass_flow", mass_flow))
-    if times.shape != flows.shape or times.ndim != 1 or not times.size:
-        problem = f"{times.size} times and {flows.size} mass flows do not match"
-        raise InputError(problem, "give one mass flow per time", "gas.mass_flow")
+    if times.ndim != 1 or not times.size:
+        raise InputError("is not a list of times", "give increasing times in s", "gas.time")
     if times[0] < 0.0:
         raise InputError("begins before the simulation", "begin at 0 or later", "gas.time", float(times[0]))
-    numbers = {
-        "temperature": temperature,
-        "gas_constant": gas_constant,
-        "ambient_pressure": ambient_pressure,
-        "dead_volume": dead_volume,
-    }
-    for name, value in {"time": times, "mass_flow": flows, **numbers}.items():
-        check(f"gas.{name}", np.asarray(as_numbers(f"gas.{name}", value)))
-    return Gas(as_real(times), as_real(flows), **{name: as_real(value) for name, value in numbers.items()})
+    if closed_by not in _CLOSED_BY:
+        raise InputError("unknown", f"choose one of {', '.join(_CLOSED_BY)}", "gas.closed_by", closed_by)
+    at_knots, numbers = {"mass_flow": mass_flow}, {"temperature": temperature, "gas_constant": gas_constant}
+    numbers |= {"ambient_pressure": ambient_pressure, "dead_volume": dead_volume}
+    through_valve = supply_pressure is not None or orifice_area is not None
+    through_orifices = through_valve or vent_area is not None
+    if through_valve:
+        at_knots |= {"supply_pressure": 0.0 if supply_pressure is None else supply_pressure, "valve": valve}
+        numbers |= {"orifice_area": orifice_area or 0.0}
+    if vent_area is not None:
+        at_knots, numbers = at_knots | {"vent": vent}, numbers | {"vent_area": vent_area}
+    if through_orifices:
+        numbers |= {"discharge_coefficient": discharge_coefficient}
+    if through_orifices or adiabatic:
+        numbers |= {"heat_capacity_ratio": heat_capacity_ratio}
+    for name, value in {"time": times, **at_knots, **numbers}.items():
+        allowed = Range("Pa", above=0.0) if name == "ambient_pressure" and (through_orifices or adiabatic) else None
+        check(f"gas.{name}", np.asarray(as_numbers(f"gas.{name}", value)), allowed)
+    if through_valve:
+        _check_supply(at_knots["supply_pressure"], ambient_pressure, closed_by)
+    values = {name: _at_each(f"gas.{name}", value, times.size) for name, value in at_knots.items()}
+    arrays = {name: as_real(value) for name, value in {"time": times, **values, **numbers}.items()}
+    return Gas(**arrays, adiabatic=bool(adiabatic), closed_by=closed_by)
+
+
+def _check_supply(pressure: ArrayLike, ambient: float, closed_by: str) -> None:
+    """Raises InputError for a vacuum inside the sheet, or for less than none."""
+    least, given = (0.0, "is below 0") if closed_by == "clamp" else (-ambient, "is no pressure above vacuum")
+    lowest = float(np.min(np.asarray(pressure, float)))
+    if lowest < 0.0 and lowest <= least:
+        remedy = 'give gauge pressures >= 0 [Pa]; a vacuum, above -ambient_pressure, needs closed_by = "mold"'
+        raise InputError(given, remedy, "gas.supply_pressure", lowest)
+
+
+def _at_each(key: str, given: ArrayLike, count: int) -> np.ndarray:
+    """One value for each knot (count,)."""
+    values = np.asarray(given, float)
+    if values.ndim and values.shape != (count,):
+        problem = f"has {values.size} values for {count} times, which do not match"
+        raise InputError(problem, "give one per time, or one number", key)
+    return np.broadcast_to(values, (count,))

@@ -24,6 +24,7 @@ from jaxform.model.field import Field
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 
+_SIDES = ("pressure.inside.", "pressure.trapped.")  # where the loads of a `TwoSidedLoad` are
 _DECLARING = (Law, Modes, Shift, Loading, Field)  # parts that declare their numbers
 
 
@@ -126,8 +127,9 @@ def sanitize_parameters(scene: Scene) -> tuple[Scene, jax.Array]:
             good = jnp.broadcast_to(jnp.all(good) & jnp.all(jnp.diff(values) > 0), values.shape)
         bits |= jnp.where(jnp.all(good), 0, _bit(DESIGNABLE.index(_key(path))))
         found[path] = jnp.where(good, values, _substitute(path, values, good, scene))
-    if "pressure.value" in found:
-        found["pressure.value"] = jnp.where(jnp.all(bits == 0), found["pressure.value"], 0.0)
+    for path in found:
+        if _key(path) == "pressure.value":
+            found[path] = jnp.where(jnp.all(bits == 0), found[path], 0.0)
     for path, values in found.items():
         scene = _replace_at(scene, path, values)
     return scene, bits
@@ -175,9 +177,14 @@ def _range(path: str, scene: Scene) -> Range:
 
 
 def _key(path: str) -> str:
-    """A path as `DESIGNABLE` has it: fields' numbers without the field's name, those of tools as the mold's."""
+    """A path as `DESIGNABLE` has it.
+
+    Fields' numbers are without the field's name, those of tools as the mold's, of both sides' loads as those of one.
+    """
     if path.startswith("tools."):
         return f"mold.{path.split('.', 2)[-1]}"
+    if path.startswith(_SIDES):
+        return f"pressure.{path.rpartition('.')[2]}"
     return f"fields.{path.rpartition('.')[2]}" if path.startswith("fields.") else path
 
 
@@ -186,9 +193,15 @@ def _designable_numbers(scene: Scene) -> dict[str, jax.Array]:
     field_paths = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in parameter_ranges(field)]
     of_molds = [path.removeprefix("mold.") for path in DESIGNABLE if path.startswith("mold.")]
     tool_paths = [f"tools.{k}.{path}" for k in range(len(scene.tools)) for path in of_molds]
-    paths = (*DESIGNABLE, *field_paths, *tool_paths)
+    side_paths = [side + path.removeprefix("pressure.") for side in _SIDES for path in _load_paths()]
+    paths = (*DESIGNABLE, *field_paths, *tool_paths, *side_paths)
     found = {path: number_at(scene, path) for path in paths if _is_declared(scene, path)}
     return {path: values for path, values in found.items() if values is not None}
+
+
+def _load_paths() -> list[str]:
+    """Those of `DESIGNABLE` that are numbers of loads."""
+    return [path for path in DESIGNABLE if path.startswith("pressure.")]
 
 
 def _is_declared(scene: Scene, path: str) -> bool:

@@ -14,7 +14,7 @@ from jaxform.core.errors import InputError, warn_of
 from jaxform.core.parameters import is_registered, list_parameter_names, nodal_parameter_names, parameter_ranges
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import as_numbers, check, check_one
-from jaxform.loads import Gas, GasSupply, Interval, Loading, first_pressure, next_pressure
+from jaxform.loads import Interval, Loading, TwoSidedLoad, first_pressure, list_gases, next_pressure
 from jaxform.materials import Cooling, Law, Modes, Shift
 from jaxform.mesh import bisection
 from jaxform.model.field import Field
@@ -253,6 +253,8 @@ def validate_loading(pressure: Loading) -> Loading:
         remedy = "use make_pressure, or derive its class from jaxform.Loading, decorated with jaxform.loading"
         raise InputError("is not a loading", remedy, "pressure")
     made = _convert_numbers(pressure, "pressure")
+    if isinstance(made, TwoSidedLoad):
+        made = _replace_values(made, {name: validate_loading(getattr(made, name)) for name in ("inside", "trapped")})
     none = as_real(0.0)
     first = _shapes("pressure", first_pressure, made, none)
     if first.pressure.shape != ():
@@ -305,7 +307,8 @@ def validate_field(name: str, given: Field, count: int, forest: bisection.Triang
 def _convert_numbers[T](part: T, section: str, nodes: set[int] | None = None) -> T:
     """A part whose numbers are arrays, each in its range: where `nodes` are given one number, or so many."""
     lists = list_parameter_names(part)
-    for name, allowed in parameter_ranges(part).items():
+    ranges = {name: allowed for name, allowed in parameter_ranges(part).items() if getattr(part, name) is not None}
+    for name, allowed in ranges.items():
         key, given = f"{section}.{name}", getattr(part, name)
         check(key, given, allowed)
         shape, listed = as_numbers(key, given).shape, name in lists
@@ -315,9 +318,7 @@ def _convert_numbers[T](part: T, section: str, nodes: set[int] | None = None) ->
             many = " or ".join(map(str, sorted(nodes)))
             problem = f"has shape {shape}, is not one number, nor one at each node ({many})"
             raise InputError(problem, allowed.remedy, key)
-    return _replace_values(
-        part, {name: as_real(as_numbers(name, getattr(part, name))) for name in parameter_ranges(part)}
-    )
+    return _replace_values(part, {name: as_real(as_numbers(name, getattr(part, name))) for name in ranges})
 
 
 def _replace_values[T](part: T, values: dict[str, Any]) -> T:
@@ -335,9 +336,13 @@ def _shapes(key: str, function: Any, *arguments: Any) -> Any:
 
 def check_gas(pressure: Loading, volume: float) -> None:
     """Raises InputError where a gas has no volume [m^3] at first."""
-    if isinstance(pressure, Gas | GasSupply) and volume + float(pressure.dead_volume) <= 0.0:
+    for gas in list_gases(pressure):
+        if (first := float(gas.gas_volume(as_real(volume)))) > 0.0:
+            continue
         remedy = "give gas.dead_volume, or a sheet that encloses a volume along its normals"
-        raise InputError(f"the gas has a volume of {volume:.3g} m^3 at first", remedy, "gas.dead_volume")
+        if gas.closed_by == "mold":
+            remedy = f"give the volume of the mold's cavity, above the {volume:.3g} m^3 under the sheet"
+        raise InputError(f"the gas has a volume of {first:.3g} m^3 at first", remedy, "gas.dead_volume")
 
 
 def check_weight(solver: Solver, refinement: Refinement | None) -> None:

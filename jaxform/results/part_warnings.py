@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import format_place
+from jaxform.loads import list_gases
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.part import part_elements
@@ -48,6 +49,7 @@ def warnings_of_part(result: Result, scene: Scene) -> list[str]:
         return []
     return [
         *_warnings_of_no_contact(result, scene),
+        *_warnings_of_trapped_gas(result, scene),
         *_warnings_of_escape(result, scene),
         *_warnings_of_tearing(result),
         *_warnings_of_thinning(result, scene),
@@ -67,6 +69,17 @@ def _warnings_of_no_contact(result: Result, scene: Scene) -> list[str]:
     return [
         "nothing touched the mold after the start; look at sheet and mold with `jaxform check` (units, "
         "sides), or raise pressure.value or solver.end_time"
+    ]
+
+
+def _warnings_of_trapped_gas(result: Result, scene: Scene) -> list[str]:
+    """A warning of gas in the mold that holds the sheet off it."""
+    trapped = any(gas.closed_by == "mold" for gas in list_gases(scene.pressure))
+    if not trapped or not int(result.status) & Status.UNFILLED:
+        return []
+    return [
+        "the gas between the sheet and the mold holds the sheet off the mold; give it a vent, or a larger one "
+        "(gas.vent_area), or more time to leave"
     ]
 
 

@@ -82,12 +82,14 @@ AtKnots = Annotated[
 
 
 class GasTable(Table):
-    """A gas that is blown into the sheet; the pressure is a result.
+    """A gas that is blown into the sheet, or that the sheet traps in the mold; its pressure is a result.
 
-    It has a mass flow, a supply behind a valve, a vent, or several of them; see `jaxform.Gas` and `jaxform.GasSupply`.
+    It has a mass flow, a supply behind a valve, a vent, or several of them; see `jaxform.Gas`. A gas in the mold may be
+    given together with [pressure] or, as a second [[gas]], with one inside the sheet.
 
     Attributes:
-        time: Knots [s], increasing; values at them are linear between and held before and after.
+        time: Knots [s], increasing; values at them are linear between and held before and after. One at 0 is enough
+            for a gas in the mold that nothing changes.
         mass_flow: Mass flow into the modelled part [kg/s], one per knot.
         supply_pressure: Gauge pressure of a supply behind a valve [Pa], a number or one per knot.
         orifice_area: Area of the open valve [m^2], of the modelled part: of a quarter a quarter.
@@ -95,15 +97,19 @@ class GasTable(Table):
         vent_area: Area of the open vent to the outside [m^2], of the modelled part.
         vent: Opening of the vent, 0 to 1, one per knot; open by default.
         discharge_coefficient: Discharge coefficient of valve and vent.
-        heat_capacity_ratio: Ratio of the heat capacities of the gas, for the flow through valve and vent.
-        temperature: Temperature of the gas [K], constant.
+        heat_capacity_ratio: Ratio of the heat capacities of the gas, for the flow through valve and vent, and where it
+            is adiabatic.
+        temperature: Temperature of the gas at first, and of what flows in [K].
         gas_constant: Specific gas constant [J/(kg K)].
         ambient_pressure: Absolute pressure outside, and inside at first [Pa].
-        dead_volume: Volume of the gas beside that under the sheet [m^3]; a flat sheet needs it.
-        closed_by: What closes the volume: the `clamp`, that is the plane or the rings in which the sheet is clamped.
+        dead_volume: Volume of the gas beside that under the sheet [m^3]; a flat sheet needs it. Closed by the mold,
+            the volume of the mold's cavity, of the modelled part, of which the sheet takes its share.
+        adiabatic: Whether the gas exchanges no heat and has a temperature of its own; by default it is constant.
+        closed_by: What closes the volume: the `clamp`, that is the plane or the rings in which the sheet is clamped,
+            or the `mold`, for the gas between the sheet and the mold, which resists the sheet.
     """
 
-    time: Annotated[list[Number], Field(min_length=1)]
+    time: Annotated[list[Number], Field(min_length=1)] = Field(default_factory=lambda: [0.0])
     mass_flow: Annotated[list[Number], Field(min_length=1)] | None = None
     supply_pressure: AtKnots[_SupplyPressure] | None = None
     orifice_area: Annotated[float, declared_range("gas.orifice_area")] | None = None
@@ -116,11 +122,21 @@ class GasTable(Table):
     gas_constant: Annotated[float, declared_range("gas.gas_constant")] = 287.06
     ambient_pressure: Annotated[float, declared_range("gas.ambient_pressure")] = 101325.0
     dead_volume: Annotated[float, declared_range("gas.dead_volume")] = 0.0
-    closed_by: Literal["clamp"] = "clamp"
+    adiabatic: bool = False
+    closed_by: Literal["clamp", "mold"] = "clamp"
+
+    @model_validator(mode="after")
+    def _check_volume(self) -> GasTable:
+        if self.closed_by == "mold" and not self.dead_volume:
+            remedy = "give the volume of the mold's cavity [m^3], of the modelled part"
+            raise validation_error("is missing for a gas that is closed by the mold", remedy, "dead_volume", None)
+        if self.closed_by == "clamp" and "time" not in self.model_fields_set:
+            raise validation_error("is missing", "give the times of the knots [s]", "time", None)
+        return self
 
     @model_validator(mode="after")
     def _check(self) -> GasTable:
-        if self.mass_flow is None and self.supply_pressure is None:
+        if self.mass_flow is None and self.supply_pressure is None and self.closed_by == "clamp":
             remedy = "give mass_flow, or supply_pressure with orifice_area"
             raise validation_error("is missing, and no supply is given", remedy, "mass_flow", None)
         needs = {"supply_pressure": "orifice_area", "orifice_area": "supply_pressure", "valve": "orifice_area"}
@@ -128,7 +144,8 @@ class GasTable(Table):
             if getattr(self, key) is not None and getattr(self, other) is None:
                 raise validation_error(f"is missing, but {key} is given", "give both", other, None)
         for key in ("discharge_coefficient", "heat_capacity_ratio"):
-            if getattr(self, key) is not None and not self.through_orifices:
+            used = self.through_orifices or (self.adiabatic and key == "heat_capacity_ratio")
+            if getattr(self, key) is not None and not used:
                 remedy = "give supply_pressure and orifice_area or vent_area, or leave it out"
                 raise validation_error("has no effect without valve and vent", remedy, key, getattr(self, key))
         return self
@@ -137,6 +154,13 @@ class GasTable(Table):
     def through_orifices(self) -> bool:
         """True where the gas has a supply or a vent, through which its pressure drives it."""
         return self.supply_pressure is not None or self.vent_area is not None
+
+
+Gases = Annotated[
+    Annotated[GasTable, Tag("<one>")] | Annotated[Annotated[list[GasTable], Field(min_length=1)], Tag("<several>")],
+    form(lambda value: "several" if isinstance(value, list) else "one"),
+]
+"""A gas, or a list of them."""
 
 
 class RefinementTable(Table):
@@ -239,7 +263,8 @@ class SceneFile(Table):
         parison: The sheet.
         material: The material model.
         pressure: The pressure history; may be absent where a gas, gravity or a moving tool does the work.
-        gas: A gas that is blown into the sheet, instead of the pressure history.
+        gas: A gas that is blown into the sheet, instead of the pressure history, or one that the sheet traps in the
+            mold: a section [gas], or [[gas]] for each of the two.
         mold: The mold; without it and without tools the sheet is inflated freely.
         tool: Tools besides the mold, such as plugs: a section [[tool]] for each.
         part: Selection of the part from the formed sheet; without it, all of it.
@@ -254,7 +279,7 @@ class SceneFile(Table):
     parison: Parison
     material: Material
     pressure: PressureTable | None = None
-    gas: GasTable | None = None
+    gas: Gases | None = None
     mold: Mold | None = None
     tool: Tools = Field(default_factory=list)
     part: PartTable | None = None
@@ -263,10 +288,27 @@ class SceneFile(Table):
     solver: SolverTable
     output: Output = Output()
 
+    @property
+    def gases(self) -> list[GasTable]:
+        """The gases, that inside the sheet first."""
+        given = self.gas if isinstance(self.gas, list) else [] if self.gas is None else [self.gas]
+        return sorted(given, key=lambda gas: gas.closed_by)
+
+    @model_validator(mode="after")
+    def _check_gases(self) -> SceneFile:
+        sides = [gas.closed_by for gas in self.gases]
+        if self.pressure is not None and "clamp" in sides:
+            raise validation_error("is given together with [pressure]", "give one of the two", "gas", {})
+        if len(set(sides)) < len(sides):
+            remedy = 'give one with closed_by = "clamp" and one with "mold"; simulate each cavity with a gas of its own'
+            raise validation_error("has two gases on the same side of the sheet", remedy, "gas", sides)
+        if "mold" in sides and (self.mold is None or self.mold.motion is not None):
+            problem = "there is no mold that closes it" if self.mold is None else "the mold moves, so it is not closed"
+            raise validation_error(f"is closed by the mold, but {problem}", "leave it out", "gas", {})
+        return self
+
     @model_validator(mode="after")
     def _check_drive(self) -> SceneFile:
-        if self.pressure is not None and self.gas is not None:
-            raise validation_error("is given together with [pressure]", "give one of the two", "gas", {})
         motions = [table.motion for table in (self.mold, *self.tool) if table is not None]
         moves = self.gas is not None or any(motion is not None for motion in motions)
         if self.pressure is None and self.solver.gravity is None and not moves:
