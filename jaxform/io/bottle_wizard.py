@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from jaxform.io.unit_checks import Units, guess_units
 from jaxform.mesh import meshes
 from jaxform.mesh.meridian import make_meridian
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import footprint, revolution
+from jaxform.tools import bottles, footprint, revolution
+from jaxform.tools.bottles import BottleBody
 from jaxform.tools.revolution import Revolution
 
 Array = NDArray[np.float64]
@@ -34,6 +36,9 @@ _NARROW, _HOOP = 0.85, 5.0  # radius of a neck over that of the body at most; la
 _GAP = 0.025  # of the radius: between rod and preform at first, and twice that between rod and mold in the end
 _POINTS = 8  # of the round end
 _LIMIT, _SPARE = 25.0, 1.7  # of Gent's model; and at least so many times I1 - 3 of the mean stretches
+_ELEMENTS, _MORE = 600, 1500  # of a quarter; the second for a bottle that is not round
+_MOLD = "mold.stl"
+_MODELLED = {"quarter": ("a quarter", 1), "half": ("half", 2), "none": ("all", 4)}  # of a bottle, and in quarters
 _RADIUS, _VOLUME, _ORIFICE, _DEAD = 0.03, 4.2e-4, 1.0e-5, 5.0e-6  # of the built-in bottle, whose air fits it
 
 
@@ -55,11 +60,11 @@ def draft_bottle(
         Its files, and lines on what was found and chosen.
 
     Raises:
-        InputError: A file cannot be read, or is no round bottle with a neck.
+        InputError: A file cannot be read, or is no bottle with a neck and without a handle.
     """
     surface, units, extent = read_bottle(paths, scale)
-    body = revolution.find_revolution(surface)
-    neck = _neck_radius(body)
+    outside, body = _find_body(surface)
+    neck = _neck_radius(body) if outside is None else revolution.mean_revolution(outside.mesh)[1]
     if neck > _NARROW * body.radius:
         problem = (
             f"has no neck: it is {2e3 * neck:.3g} mm wide at its narrow end and {2e3 * body.radius:.3g} mm elsewhere"
@@ -75,9 +80,24 @@ def draft_bottle(
     thick = thickness or round_digits(usual)
     shoulder = _shoulder(body, neck)
     along = (body.length - shoulder) / (float(preform[:, 1].max()) - shoulder)
-    scene = _scene(paths, body, preform, thick, thick / gain, (around, along))
-    lines = [describe_box(units, extent), *_describe(units, body, preform, thick, thick / gain, (around, along))]
-    return ({"scene.toml": scene, "study.toml": _STUDY}, {}), lines
+    scene = _scene(paths, body, preform, thick, thick / gain, (around, along), outside)
+    lines = [describe_box(units, extent), _describe_axis(units, body, outside)]
+    lines += _describe(body, preform, thick, thick / gain, (around, along))
+    surfaces = {} if outside is None else {_MOLD: outside.mesh}
+    return ({"scene.toml": scene, "study.toml": _STUDY}, surfaces), lines
+
+
+def _find_body(surface: Mesh) -> tuple[BottleBody | None, Revolution]:
+    """The outside of a bottle that is not round, else None; and the body of revolution that it is, or nearly is."""
+    try:
+        return None, revolution.find_revolution(surface)
+    except InputError:
+        pass
+    try:
+        outside = bottles.find_body(surface)
+    except InputError as error:
+        raise replace(error, problem=f"is no body of revolution, and {error.problem}") from None
+    return outside, revolution.mean_revolution(outside.mesh)[0]
 
 
 def read_bottle(paths: Sequence[Path], scale: float | None) -> tuple[Mesh, Units, Array]:
@@ -132,12 +152,21 @@ def _volume(body: Revolution) -> float:
     return abs(make_meridian(body.profile).volume)
 
 
+def _describe_axis(units: Units, body: Revolution, outside: BottleBody | None) -> str:
+    """A line on the axis that was found, and how much of the bottle is modelled."""
+    origin, axis = (body.origin, body.axis) if outside is None else (outside.origin, outside.rotation[2])
+    (x, y, z), (a, b, c) = np.round(origin / units[0], 4) + 0.0, np.round(axis, 4) + 0.0
+    place = f"the axis from its neck at ({x:g}, {y:g}, {z:g}) along ({a:g}, {b:g}, {c:g}) of the file"
+    if outside is None:
+        return f"it is round about {place}"
+    x, y, z = np.round(outside.rotation[0], 4) + 0.0
+    return f"it has {place}; {_MODELLED[outside.symmetry][0]} of it is modelled, x is ({x:g}, {y:g}, {z:g}) of the file"
+
+
 def _describe(
-    units: Units, body: Revolution, preform: Array, thickness: float, wall: float, stretches: tuple[float, float]
+    body: Revolution, preform: Array, thickness: float, wall: float, stretches: tuple[float, float]
 ) -> Iterator[str]:
-    """Lines on what was found and chosen; the arguments are those of `_scene`."""
-    (x, y, z), (a, b, c) = np.round(body.origin / units[0], 4) + 0.0, np.round(body.axis, 4) + 0.0
-    yield f"it is round about the axis from its neck at ({x:g}, {y:g}, {z:g}) along ({a:g}, {b:g}, {c:g}) of the file"
+    """Lines on what was chosen; the arguments are those of `_scene`."""
     yield (
         f"it is {1e3 * body.length:.3g} mm long, {2e3 * body.radius:.3g} mm wide with a neck of "
         f"{2e3 * body.neck:.3g} mm, and holds {1e6 * _volume(body):.3g} ml"
@@ -178,19 +207,23 @@ def _scene(
     thickness: float,
     wall: float,
     stretches: tuple[float, float],
+    outside: BottleBody | None,
 ) -> str:
     """The scene file.
 
     Args:
         paths: The mesh files.
-        body: The bottle's surface [m].
+        body: The bottle's surface [m]; of one that is not round, the body of revolution with its mean section.
         preform: Points r, z [m] of the preform from the neck to the round end (k, 2).
         thickness: Thickness of the preform [m].
         wall: Mean wall of the bottle [m].
         stretches: Mean stretches of the body around and along the axis.
+        outside: The outside of a bottle that is not round; None for a round one.
     """
     around, along = stretches
-    share = _volume(body) / _VOLUME
+    symmetry = "quarter" if outside is None else outside.symmetry
+    modelled = _MODELLED[symmetry][1]
+    share = _volume(body) / _VOLUME * modelled
     gap, end = _GAP * body.radius, float(preform[:, 1].max())
     start = end - gap
     bottom = float(body.profile[0, 1])
@@ -208,7 +241,10 @@ def _scene(
         "supply": inline([round_digits(8e5 * pressure)] * 4 + [round_digits(4e6 * pressure)]),
         "orifice": f"{_ORIFICE * share:.3g}",
         "dead": f"{_DEAD * share:.3g}",
-        "mold": _points(mold),
+        "elements": str((_ELEMENTS if outside is None else _MORE) * modelled),
+        "symmetry": symmetry,
+        "part": _MODELLED[symmetry][0],
+        "mold": fill_template(_ROUND, {"profile": _points(mold)}) if outside is None else _OUTSIDE,
         "rod": f"{_ROD * float(preform[2:, 0].max()):.4g}",
         "length": f"{1.2 * body.length:.4g}",
         "start": f"{start:.6g}",
@@ -233,8 +269,8 @@ name = <name>
 [parison]
 shape = "preform"
 profile = <preform>
-elements = 600
-symmetry = "quarter"
+elements = <elements>
+symmetry = "<symmetry>"
 thickness = <thickness>  # m
 temperature = 105.0
 
@@ -256,7 +292,7 @@ reference = 105.0
 c1 = 11.03
 c2 = 81.6
 
-# Pre-blow with a fifth of the valve, then the blow. The orifice is that of a quarter of the valve.
+# Pre-blow with a fifth of the valve, then the blow. The orifice is that of <part> of the valve.
 [gas]
 time = [0.0, 0.05, 0.06, 0.16, 0.17]
 supply_pressure = <supply>  # Pa, gauge
@@ -264,12 +300,7 @@ orifice_area = <orifice>  # m^2
 valve = [0.0, 0.0, 0.2, 0.2, 1.0]
 dead_volume = <dead>  # m^3
 
-# The outside of the file's surface, from the middle of the bottom to the neck.
-[mold]
-shape = "revolved"
-profile = <mold>
-segments = 96
-
+<mold>
 [[tool]]
 name = "rod"
 shape = "rod"
@@ -285,6 +316,19 @@ friction = 0.2
 [solver]
 end_time = 0.3
 damping = 100.0
+"""
+
+_ROUND = """# The outside of the file's surface, from the middle of the bottom to the neck.
+[mold]
+shape = "revolved"
+profile = <profile>
+segments = 96
+"""
+
+_OUTSIDE = f"""# The outside of the file's surface, without the rim of its neck.
+[mold]
+shape = "file"
+path = "{_MOLD}"
 """
 
 _STUDY = """# Written by `jaxform new --process stretch-blow`: the times of rod and air for an even wall.

@@ -138,6 +138,13 @@ def connected_parts(one: NDArray[np.integer], other: NDArray[np.integer], count:
     return connected_components(graph, directed=False)[1]
 
 
+def count_handles(triangles: NDArray[np.integer]) -> int:
+    """The number of handles, or holes through it, of a connected orientable surface, open or closed: its genus."""
+    nodes, count = len(np.unique(triangles)), int(np.max(triangles)) + 1
+    rims = len(np.unique(open_rims(triangles, count)[1]))
+    return (2 - rims - (nodes - len(edges(triangles)[0]) + len(triangles))) // 2
+
+
 def _sides(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
     return np.asarray(triangles, dtype=np.int64).reshape(-1, 3)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 

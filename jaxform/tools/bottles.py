@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, topology
@@ -20,6 +21,7 @@ _TOP = 0.01  # of the length, that is cut off at the neck: the rim, which joins 
 _SLICE = 0.02  # of the length: where sections at the two ends are compared
 _NARROW = 0.7  # width of the neck over the largest width, at most
 _SAMPLES = 1500  # vertices that are mirrored
+_SYMMETRIC = 0.002  # of the length, for a bottle of which a half or a quarter is modelled
 _MIRRORED = 0.01  # of the length, root mean square, by which a mirrored bottle deviates from itself at most
 _TURNS = 24  # directions across the axis that are tried as normals of the parting plane
 _FLAT = 1e-5  # of the size: what is as near to a plane lies in it
@@ -46,28 +48,40 @@ class BottleHalf(NamedTuple):
     origin: Array
 
 
+class BottleBody(NamedTuple):
+    """The outside of a bottle that is blown whole, open above the neck; z along the axis from the neck to the bottom.
+
+    Attributes:
+        mesh: The surface [m].
+        symmetry: "quarter" where it is symmetric across x and y, "half" where it is across x, else "none".
+        rotation: Rows are the axes x, y, z in those of the file (3, 3).
+        origin: Place of the origin in the file [m]: the middle of the neck, at a small distance below its end.
+    """
+
+    mesh: Mesh
+    symmetry: str
+    rotation: Array
+    origin: Array
+
+
+_Outside = tuple[Mesh, Array, Array, float, float]
+"""A bottle's outside in the frame of its file, cut off below the end of its neck: the surface [m], the axis towards the
+neck (3,), the middle of the cut (3,) [m], and the places of bottom and cut along the axis [m]."""
+
+
 def find_bottle(mesh: Mesh) -> BottleHalf:
     """Half of a bottle, from its surface [m], welded: the whole, closed or open at the neck, or a half of it.
 
     Raises:
         InputError: It has no neck, or no plane of symmetry along its axis.
     """
-    used = np.unique(mesh.triangles)
-    size, positions = meshes.size(mesh.positions[used]), mesh.positions
-    axis = _find_axis(positions[used])
-    whole = _complete_half(mesh, axis)
-    positions, used = whole.positions, np.unique(whole.triangles)
-    along = positions @ axis
-    if _width_at_end(positions[used], axis) > _width_at_end(positions[used], -axis):
-        axis, along = -axis, -along
-    low, high = along[used].min(), along[used].max()
-    cut = high - _TOP * (high - low)
-    opened = _largest_part(clip(whole, axis, cut, keep_below=True))
-    rim = _section_middle(opened, axis, cut, size)
-    normal = _parting_normal(opened, axis, rim)
+    outside = _find_outside(mesh)
+    opened, axis, rim, low, cut = outside
+    normal = _parting_normal(outside)
     half = clip(opened, normal, float(rim @ normal), keep_below=False)
     rotation = np.stack([normal, np.cross(axis, normal), axis])
     origin = rim + (low - rim @ axis) * axis
+    size = meshes.size(mesh.positions[np.unique(mesh.triangles)])
     places = (half.positions - origin) @ rotation.T
     places[np.abs(places[:, 0]) <= _FLAT * size, 0] = 0.0
     top = np.abs(places[:, 2] - (cut - low)) <= _FLAT * size
@@ -80,6 +94,51 @@ def find_bottle(mesh: Mesh) -> BottleHalf:
     if neck <= 0.0:
         raise InputError("has no open end at its neck in the parting plane", "repair the mesh of the bottle")
     return BottleHalf(Mesh(places, triangles, {}), float(cut - low), neck, float(area.sum()), rotation, origin)
+
+
+def find_body(mesh: Mesh) -> BottleBody:
+    """The outside of a bottle of any section, from its surface [m], as for `find_bottle`.
+
+    Raises:
+        InputError: It has no neck, or a handle.
+    """
+    outside = _find_outside(mesh)
+    opened, axis, rim, low, cut = outside
+    if handles := topology.count_handles(opened.triangles):
+        problem = f"has {handles} handle{'s' * (handles > 1)}, or holes through it, around which no preform is blown"
+        raise InputError(problem, "use --process extrusion-blow, or leave the handle out of the file")
+    x, symmetry = _symmetry(outside)
+    origin = rim - _TOP * (cut - low) * axis
+    rotation = np.stack([x, np.cross(-axis, x), -axis])
+    places = (opened.positions - origin) @ rotation.T
+    return BottleBody(Mesh(places, opened.triangles, {}), symmetry, rotation, origin)
+
+
+def _symmetry(outside: _Outside) -> tuple[Array, str]:
+    """The direction x (3,) of a bottle's frame, and the symmetry of the bottle in it, as `BottleBody`."""
+    planes = _MirrorPlanes(outside)
+    angles, limit = planes.refined(), _SYMMETRIC * (outside[4] - outside[3])
+    pairs = [max(planes.error(angle), planes.error(angle + 0.5 * np.pi)) for angle in angles]
+    if min(pairs) <= limit:
+        return planes.normal(angles[int(np.argmin(pairs))]), "quarter"
+    errors = [planes.error(angle) for angle in angles]
+    return planes.normal(angles[int(np.argmin(errors))]), "half" if min(errors) <= limit else "none"
+
+
+def _find_outside(mesh: Mesh) -> _Outside:
+    """The outside of a bottle, whole, and cut off at its neck."""
+    used = np.unique(mesh.triangles)
+    size, positions = meshes.size(mesh.positions[used]), mesh.positions
+    axis = _find_axis(positions[used])
+    whole = _complete_half(mesh, axis)
+    positions, used = whole.positions, np.unique(whole.triangles)
+    along = positions @ axis
+    if _width_at_end(positions[used], axis) > _width_at_end(positions[used], -axis):
+        axis, along = -axis, -along
+    low, high = along[used].min(), along[used].max()
+    cut = high - _TOP * (high - low)
+    opened = _largest_part(clip(whole, axis, cut, keep_below=True))
+    return opened, axis, _section_middle(opened, axis, cut, size), float(low), float(cut)
 
 
 def clip(mesh: Mesh, normal: Array, level: float, *, keep_below: bool) -> Mesh:
@@ -202,23 +261,14 @@ def _section_middle(mesh: Mesh, axis: Array, level: float, size: float) -> Array
     return np.average(ends[there].mean(1), axis=0, weights=length)
 
 
-def _parting_normal(mesh: Mesh, axis: Array, rim: Array) -> Array:
+def _parting_normal(outside: _Outside) -> Array:
     """The normal of the plane of symmetry along the axis across which the bottle is shortest."""
-    first = next(way for way in np.eye(3) if abs(way @ axis) < 0.9)
-    first = first - (first @ axis) * axis
-    first /= np.linalg.norm(first)
-    other = np.cross(axis, first)
-    angles = np.pi * np.arange(_TURNS) / _TURNS
-    ways = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * other
+    mesh, axis, *_ = outside
     length = float(np.ptp(mesh.positions @ axis))
-    picked = mesh.positions[:: max(1, len(mesh.positions) // _SAMPLES)]
-    surface = Distances(mesh.positions, mesh.triangles, length)
-    found = []
-    for way in ways:
-        image = picked - 2.0 * np.outer((picked - rim) @ way, way)
-        away = surface.nearest(image).distance
-        found.append((float(np.sqrt(np.mean(np.square(away)))), float(np.ptp(mesh.positions @ way))))
-    error, extent = np.array(found).T
+    planes = _MirrorPlanes(outside)
+    angles = planes.refined()
+    error = np.array([planes.error(angle) for angle in angles])
+    extent = np.array([float(np.ptp(mesh.positions @ planes.normal(angle))) for angle in angles])
     mirrored = error <= _MIRRORED * length
     if not mirrored.any():
         problem = (
@@ -227,4 +277,43 @@ def _parting_normal(mesh: Mesh, axis: Array, rim: Array) -> Array:
         )
         raise InputError(problem, "write the scene by hand, with one half as [mold] and the other as [[tool]]")
     # Of nearly equal widths, the plane that fits best.
-    return ways[int(np.lexsort((error, np.round(extent / length, 2), ~mirrored))[0])]
+    return planes.normal(angles[int(np.lexsort((error, np.round(extent / length, 2), ~mirrored))[0])])
+
+
+class _MirrorPlanes:
+    """Planes along the axis of a bottle through the middle of its neck, by the angle of their normal."""
+
+    def __init__(self, outside: _Outside) -> None:
+        mesh, axis, self._rim, *_ = outside
+        first = next(way for way in np.eye(3) if abs(way @ axis) < 0.9)
+        first = first - (first @ axis) * axis
+        self._first = first / np.linalg.norm(first)
+        self._other = np.cross(axis, self._first)
+        positions = mesh.positions
+        self._length = float(np.ptp(positions @ axis))
+        self._picked = positions[:: max(1, len(positions) // _SAMPLES)]
+        self._surface = Distances(positions, mesh.triangles, self._length)
+
+    def normal(self, angle: float) -> Array:
+        """The normal (3,) of the plane at an angle."""
+        return np.cos(angle) * self._first + np.sin(angle) * self._other
+
+    def error(self, angle: float) -> float:
+        """How far the bottle is from its image in the plane [m], root mean square."""
+        way = self.normal(angle)
+        image = self._picked - 2.0 * np.outer((self._picked - self._rim) @ way, way)
+        return float(np.sqrt(np.mean(np.square(self._surface.nearest(image).distance))))
+
+    def refined(self) -> list[float]:
+        """Evenly spaced angles, those between which the error is least moved to where it is, if that is elsewhere."""
+        turn = np.pi / _TURNS
+        angles = [float(angle) for angle in turn * np.arange(_TURNS)]
+        errors = [self.error(angle) for angle in angles]
+        for k in range(_TURNS):
+            if errors[k] > min(errors[k - 1], errors[(k + 1) % _TURNS]) or errors[k] <= _FLAT * self._length:
+                continue
+            bounds = angles[k] - turn, angles[k] + turn
+            found = minimize_scalar(self.error, bounds=bounds, method="bounded", options={"xatol": 1e-4})
+            if found.fun < 0.9 * errors[k]:
+                angles[k] = float(found.x)
+        return angles

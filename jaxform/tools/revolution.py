@@ -164,6 +164,30 @@ def _from_neck(corners: Array, middle: Array, axis: Array, outside: Array, varia
     return Revolution(origin, axis, simplify(points, _FINE * length), variation)
 
 
+def mean_revolution(mesh: Mesh) -> tuple[Revolution, float]:
+    """The body of revolution with the mean section of a surface [m] about z, from the neck at z = 0 on; its neck.
+
+    Returns:
+        The body, and the least distance [m] of the surface from the axis in its upper quarter.
+    """
+    corners = mesh.positions[mesh.triangles]
+    length = float(mesh.positions[:, 2].max())
+    levels = np.linspace(0.0, length, _LEVELS + 1)
+    angles = _FIRST + 2.0 * np.pi * np.arange(_HALF_PLANES) / _HALF_PLANES
+    segments = [_segments(corners, angle) for angle in angles]
+    radius = np.stack([_extreme(each, levels, 1, 0, True) for each in segments])
+    side = np.stack([np.sqrt(np.nanmean(np.square(radius[:, :-1]), axis=0)), levels[:-1]], axis=1)
+    near = max(float(side[:, 0].max()) / _LEVELS, 1e-9)
+    bottom = np.nanmax([_extreme(each, np.array([near]), 0, 1, True)[0] for each in segments])
+    # The side down to where it turns in, then straight to the middle of the bottom.
+    last = int(np.flatnonzero(side[:, 0] >= 0.5 * side[:, 0].max())[-1])
+    points = np.concatenate([[[0.0, bottom]], side[last::-1]])
+    profile = simplify(points, _FINE * length)
+    variation = float(np.sqrt(np.nanmean(np.square(radius[:, :-1] - side[:, 0])) / np.mean(np.square(side[:, 0]))))
+    neck = float(np.nanmin(radius[:, levels <= 0.25 * length]))
+    return Revolution(np.zeros(3), np.eye(3)[2], profile, variation), neck
+
+
 def simplify(points: Array, tolerance: float) -> Array:
     """The points (k, 2) of a line (n, 2) without which it would deviate by more than a tolerance."""
     kept = np.zeros(len(points), dtype=bool)

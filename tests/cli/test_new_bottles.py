@@ -1,4 +1,4 @@
-"""`jaxform new --process stretch-blow`: a scene for a round bottle that runs the first time, and what is refused."""
+"""`jaxform new --process stretch-blow`: scenes for bottles that run the first time, and what is refused."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import pytest
 import jaxform
 from jaxform.cli.command import main
 from jaxform.mesh import meshes
-from jaxform.tools import molds
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools import bottles, molds
+from tests.cli.test_new_extrusion import SQUARE, loft, with_handle
 
 BOTTLE = [[0, 6], [20, 5], [32, 0], [42, 3], [45, 10], [45, 190], [30, 250], [13.5, 285], [13.5, 300], [0, 300]]
 
@@ -40,6 +42,58 @@ def test_scene_of_a_turned_bottle_in_millimetres_runs_the_first_time(tmp_path: P
     assert summary["status"] == "ok" and summary["warnings"] == [] and summary["contact_fraction"] > 0.999
     # A wall of some half a millimetre, as wanted; the bottle is a quarter of it.
     assert 0.4e-3 < summary["thickness"]["mean"] < 0.7e-3 and 0.05 < 4.0 * summary["mass"] < 0.075
+
+
+OVAL = [(z, 1.1 * a, 0.75 * b, 1.0) for z, a, b, _ in SQUARE[:-3]]
+OVAL += [(188, 12.5, 12.5, 1.0), (195, 12, 12, 1.0), (215, 12, 12, 1.0)]
+TURN = molds.rotation(np.array([25.0, 40.0, 70.0]))
+
+
+def _turn(mesh: Mesh) -> Mesh:
+    """The mesh turned, off the origin."""
+    return Mesh(mesh.positions @ TURN.T + [50.0, -60.0, 70.0], mesh.triangles, {})
+
+
+@pytest.mark.parametrize("kind", ["square", "oval"])
+def test_scene_of_a_bottle_that_is_not_round_runs_the_first_time(tmp_path: Path, kind: str) -> None:
+    mesh, folder = _turn(loft(SQUARE if kind == "square" else OVAL)), tmp_path / "new"
+    meshes.write_stl(tmp_path / "bottle.stl", mesh.positions, mesh.triangles)
+    assert _new(folder, tmp_path / "bottle.stl", "--process", "stretch-blow") == 0
+    scene = jaxform.load(folder / "scene.toml")  # warnings are errors here
+    assert scene.mold is not None
+    places = np.asarray(scene.mold.vertices)
+    wide = sorted(np.ptp(places[:, :2], axis=0))
+    np.testing.assert_allclose(wide, [0.054, 0.07] if kind == "square" else [0.0405, 0.077], rtol=1e-3)
+    np.testing.assert_allclose([places[:, 2].min(), places[:, 2].max()], [-0.00213, 0.2107], rtol=5e-3)
+    assert main(["simulate", str(folder / "scene.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["status"] == "ok" and summary["warnings"] == [] and summary["contact_fraction"] > 0.999
+    assert summary["penetration_max"] < 1e-3 and summary["energy"]["balance_error"] < 1e-2
+
+
+def test_of_a_bottle_no_more_is_modelled_than_its_symmetry_asks() -> None:
+    square = loft(SQUARE)
+    quarter = bottles.find_body(_turn(square))
+    assert quarter.symmetry == "quarter"
+    # Turned back: the axes of the file, either way round, and the planes of symmetry in x and y.
+    np.testing.assert_allclose(np.abs(quarter.rotation @ TURN).max(axis=1), 1.0, rtol=1e-6)
+    one_sided = square.positions + np.outer(np.sin(square.positions[:, 2] / 215 * np.pi) ** 2, [4.0, 0.0, 0.0])
+    half = bottles.find_body(_turn(Mesh(one_sided, square.triangles, {})))
+    assert half.symmetry == "half"
+    np.testing.assert_allclose(np.abs(half.rotation[0] @ TURN), [0.0, 1.0, 0.0], atol=1e-3)
+    way = square.positions[:, 2] / 215 * np.pi
+    twisted = square.positions + np.stack([4.0 * np.sin(way) ** 2, 4.0 * np.sin(way) * np.sin(2 * way), 0 * way], 1)
+    assert bottles.find_body(Mesh(twisted, square.triangles, {})).symmetry == "none"
+
+
+def test_a_handle_is_refused_with_the_process_that_can_make_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh = _turn(with_handle())
+    meshes.write_stl(tmp_path / "bottle.stl", mesh.positions, mesh.triangles)
+    assert _new(tmp_path / "new", tmp_path / "bottle.stl", "--process", "stretch-blow") == 2
+    error = capsys.readouterr().err
+    assert "handle" in error and "--process extrusion-blow" in error and error.count("\n") == 1
 
 
 def test_findings_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,12 +29,16 @@ SQUARE += [
 
 
 def _square() -> Mesh:
-    """A closed bottle of nearly square section, from rings of a superellipse."""
+    return loft(SQUARE)
+
+
+def loft(sections: list[tuple[float, float, float, float]]) -> Mesh:
+    """A closed bottle from rings of superellipses: z, half widths, and exponent."""
     angle = 2 * np.pi * np.arange(64) / 64
     cosine, sine = np.cos(angle), np.sin(angle)
     rings = [
         np.stack([a * np.sign(cosine) * abs(cosine) ** e, b * np.sign(sine) * abs(sine) ** e, 0 * angle + z], axis=1)
-        for z, a, b, e in SQUARE
+        for z, a, b, e in sections
     ]
     here, last = np.arange(64), 64 * (len(rings) - 1)
     after = (here + 1) % 64
@@ -45,12 +49,12 @@ def _square() -> Mesh:
         np.stack([0 * here + last + 64, after, here], 1),
         np.stack([0 * here + last + 65, here + last, after + last], 1),
     ]
-    middles = [[0, 0, SQUARE[0][0]], [0, 0, SQUARE[-1][0]]]
+    middles = [[0, 0, sections[0][0]], [0, 0, sections[-1][0]]]
     triangles = np.concatenate([np.concatenate(bands).reshape(-1, 3), *ends])
     return Mesh(np.concatenate([*rings, middles]), triangles.astype(np.int32), {})
 
 
-def _with_handle() -> Mesh:
+def with_handle() -> Mesh:
     """The whole of the bottle with a handle, closed at its neck, along y."""
     half = molds.bottle_half(neck_radius=0.018, hole_center=[0.0085, 0.152], handle_edge=0.03, element_size=0.005)
     image = Mesh(half.vertices * [1, 1, -1], half.triangles[:, ::-1], {})
@@ -62,7 +66,7 @@ def _with_handle() -> Mesh:
 
 def _bottle(kind: str) -> Mesh:
     if kind == "handle":
-        return _with_handle()
+        return with_handle()
     if kind == "half":
         return clip(_square(), np.array([0.0, 1.0, 0.0]), 0.0, keep_below=False)
     shape = molds.revolved(profile=ROUND if kind == "round" else HOLLOW, segments=48)

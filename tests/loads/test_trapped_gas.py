@@ -195,18 +195,14 @@ def _form(load: str, folder: Path) -> dict[str, Any]:
 
 
 def test_air_in_the_mold_keeps_the_sheet_off_it_unless_it_is_vented(tmp_path: Path) -> None:
-    free = _form(_PRESSURE, tmp_path / "free")
-    sealed = _form(f"{_PRESSURE}[gas]\n{_AIR}", tmp_path / "sealed")
+    sealed = _form(f"{_PRESSURE}[gas]\n{_AIR}vent_area = 0.0\n", tmp_path / "sealed")
     vented = _form(f"{_PRESSURE}[gas]\n{_AIR}vent_area = 2.0e-5\n", tmp_path / "vented")
     pulled = _form(f"[gas]\n{_AIR}supply_pressure = -8.0e4\norifice_area = 2.0e-5\n", tmp_path / "vacuum")
     assert "not filled" in sealed["status"] and any("gas.vent_area" in warning for warning in sealed["warnings"])
-    # The air has the pressure inside, but for what the sheet carries.
-    assert sealed["contact_fraction"] < 0.5 * free["contact_fraction"]
+    assert sealed["contact_fraction"] < 0.5 < 0.95 < min(vented["contact_fraction"], pulled["contact_fraction"])
     assert all(each["energy"]["balance_error"] < 1e-2 for each in (sealed, vented, pulled))
-    for summary in (vented, pulled):
-        assert summary["status"] == "ok" and not summary["warnings"]
-        np.testing.assert_allclose(summary["thickness"]["mean"], free["thickness"]["mean"], rtol=3e-2)
-        assert summary["contact_fraction"] > 0.9 * free["contact_fraction"]
+    assert all(each["status"] == "ok" and not each["warnings"] for each in (vented, pulled))
+    np.testing.assert_allclose(pulled["thickness"]["mean"], vented["thickness"]["mean"], rtol=1e-2)
 
 
 def test_two_gases_of_a_file_and_their_numbers_in_a_study(tmp_path: Path) -> None:
@@ -222,7 +218,7 @@ def test_two_gases_of_a_file_and_their_numbers_in_a_study(tmp_path: Path) -> Non
     assert list(scaled.document(free)) == ["gas.mold.vent_area"]
     assert list(Scale(scene, of="gas.clamp.mass_flow", bounds=(0.5, 2.0)).document(free)) == ["gas.clamp.mass_flow"]
     for path, place, side in (("gas.mold.vent_area", 0, 5e-6), ("gas.clamp.dead_volume", 1, 3e-5)):
-        written = write_scene(files.load_document(file), {path: side}, tmp_path)
+        written = write_scene(files.read_scene(file), {path: side}, tmp_path)
         changed = tomllib.loads(written.read_text())["gas"]
         assert changed[place][path.rpartition(".")[2]] == side and len(changed) == 2
         assert isinstance(jaxform.load(written).pressure, jaxform.TwoSidedLoad)
