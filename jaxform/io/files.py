@@ -260,7 +260,8 @@ def _loading(model: schema.SceneFile) -> Loading:
     """The gases or the pressure history; a scene that gravity or a moving mold drives has no pressure."""
     gases = [make_gas(**gas.model_dump(exclude_none=True)) for gas in model.gases]
     if (table := model.pressure) is not None:
-        gases.insert(0, make_pressure(table.time, table.value, table.interpolation))
+        pressure = make_pressure(table.time, table.value, table.interpolation)
+        return make_two_sided_load(pressure, gases[0]) if gases else pressure
     if not gases:
         return make_pressure([0.0], [0.0])
     return gases[0] if len(gases) == 1 else make_two_sided_load(*gases)

@@ -144,10 +144,10 @@ class Gas(Loading):
         """Absolute pressure outside [Pa] and open area [m^2] of valve and vent, those that it has, at a time [s]."""
         found = []
         if self.supply_pressure is not None:
-            assert self.valve is not None
+            assert self.valve is not None and self.orifice_area is not None
             supply = self.at_knots(self.supply_pressure, time) + self.ambient_pressure
             found.append((supply, self.at_knots(self.valve, time) * self.orifice_area))
-        if self.vent is not None:
+        if self.vent is not None and self.vent_area is not None:
             found.append((self.ambient_pressure, self.at_knots(self.vent, time) * self.vent_area))
         return found
 
@@ -186,7 +186,7 @@ class Gas(Loading):
     def _fill(self, state: GasState, middle: jax.Array, length: jax.Array, volume: jax.Array) -> GasState:
         """The state after a flow of this length [s] about a time [s], at a constant volume [m^3]; of second order."""
         openings, blown = self._openings(middle), self.at_knots(self.mass_flow, middle)
-        pressures, areas = (jnp.stack(each) for each in zip(*openings, strict=True)) if openings else ([], [])
+        pressures, areas = (jnp.asarray([each[k] for each in openings]) for k in range(2))
         k = self.heat_capacity_ratio
         assert k is not None
 

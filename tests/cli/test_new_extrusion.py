@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,7 @@ def _square() -> Mesh:
     return loft(SQUARE)
 
 
-def loft(sections: list[tuple[float, float, float, float]]) -> Mesh:
+def loft(sections: Sequence[Sequence[float]]) -> Mesh:
     """A closed bottle from rings of superellipses: z, half widths, and exponent."""
     angle = 2 * np.pi * np.arange(64) / 64
     cosine, sine = np.cos(angle), np.sin(angle)

@@ -24,7 +24,7 @@ from optimize.variables import Scale
 from tests import scenes
 
 AMBIENT, R, WARM, K = 101325.0, 287.06, 293.15, 1.4
-SEALED = {"gas_constant": 1.0, "temperature": 1.0, "ambient_pressure": 0.5}
+SEALED: dict[str, Any] = {"gas_constant": 1.0, "temperature": 1.0, "ambient_pressure": 0.5}
 
 
 def _follow(load: jaxform.Loading, volumes: np.ndarray, length: float) -> np.ndarray:
@@ -64,7 +64,13 @@ def test_adiabatic_gas_is_blown_expands_and_is_vented_as_its_ode_has_it() -> Non
     """Filled at 6 bar while its volume doubles, and a mass flow besides; then vented: mass and energy by scipy."""
     knots, valve, vent = [0.0, 0.02, 0.1, 0.12, 0.5], [0.0, 1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 1.0]
     blown = [0.0, 1e-4, 2e-4, 0.0, -2e-4]
-    given = {"supply_pressure": 6e5, "orifice_area": 4e-6, "valve": valve, "vent_area": 3e-6, "vent": vent}
+    given: dict[str, Any] = {
+        "supply_pressure": 6e5,
+        "orifice_area": 4e-6,
+        "valve": valve,
+        "vent_area": 3e-6,
+        "vent": vent,
+    }
     gas = jaxform.make_gas(knots, blown, dead_volume=5e-5, adiabatic=True, **given)
     size = lambda time: 1e-4 * np.minimum(1.0, time / 0.15) ** 2  # noqa: E731
 
@@ -114,7 +120,7 @@ def test_sphere_is_stopped_by_the_air_around_it(adiabatic: bool, power: float) -
     """Past the limit point of its membrane, in a closed chamber of 4 times its volume: the air there holds it."""
     sheet = shapes.sphere(radius=1.0, elements=400, symmetry="quarter")
     volume = np.linalg.det(sheet.positions[sheet.triangles]).sum() / 6.0
-    around = {"adiabatic": adiabatic, "closed_by": "mold", "gas_constant": 1.0, "temperature": 1.0}
+    around: dict[str, Any] = {"adiabatic": adiabatic, "closed_by": "mold", "gas_constant": 1.0, "temperature": 1.0}
     trapped = jaxform.make_gas([0.0], dead_volume=4.0 * volume, ambient_pressure=0.05, **around)
     inside = jaxform.make_pressure([0.0, 60.0], [0.0, 0.05])
     result = jaxform.run(_sphere(jaxform.make_two_sided_load(inside, trapped), 100.0, 400))
@@ -124,7 +130,7 @@ def test_sphere_is_stopped_by_the_air_around_it(adiabatic: bool, power: float) -
         membrane = 4.0 * 0.01 * (1.0 / stretch - stretch**-7)
         return 0.05 - membrane - 0.05 * ((3.0 / (4.0 - stretch**3)) ** power - 1.0)
 
-    stretch = brentq(excess, 1.01, 1.58)
+    stretch = float(brentq(excess, 1.01, 1.58))  # pyright: ignore[reportArgumentType]
     np.testing.assert_allclose(np.linalg.norm(np.asarray(result.positions), axis=1), stretch, rtol=5e-3)
     assert result.pressures is not None
     np.testing.assert_allclose(result.pressures[1][-1], 0.04 * (1.0 / stretch - stretch**-7), rtol=2e-2)
@@ -132,9 +138,10 @@ def test_sphere_is_stopped_by_the_air_around_it(adiabatic: bool, power: float) -
 
 def test_gradients_of_gases_on_both_sides_are_those_of_differences() -> None:
     knots = [0.0, 1.0, 4.0, 5.0]
-    air = {"temperature": 1.0, "gas_constant": 1.0, "ambient_pressure": 0.05, "adiabatic": True}
-    blown = {"supply_pressure": 0.06, "orifice_area": 0.1, "valve": [0.1, 0.8, 0.8, 0.1]}
-    inside = jaxform.make_gas(knots, [0.0, 2e-3, 1e-3, 0.0], dead_volume=0.3, **blown, **(air | {"adiabatic": False}))
+    air: dict[str, Any] = {"temperature": 1.0, "gas_constant": 1.0, "ambient_pressure": 0.05, "adiabatic": True}
+    blown: dict[str, Any] = {"supply_pressure": 0.06, "orifice_area": 0.1, "valve": [0.1, 0.8, 0.8, 0.1]}
+    still: dict[str, Any] = {**air, "adiabatic": False}
+    inside = jaxform.make_gas(knots, [0.0, 2e-3, 1e-3, 0.0], dead_volume=0.3, **blown, **still)
     trapped = jaxform.make_gas([0.0, 6.0], vent_area=0.03, vent=[0.2, 1.0], dead_volume=4.0, closed_by="mold", **air)
     scene = _sphere(jaxform.make_two_sided_load(inside, trapped), 7.0, 60)
     base = jaxform.run(scene)
@@ -242,7 +249,7 @@ def test_bad_loads_are_refused(load: str, words: str, tmp_path: Path) -> None:
         jaxform.load(file)
 
 
-def test_gas_in_a_mold_that_moves_or_is_too_small_is_refused(tmp_path: Path) -> None:
+def test_gas_in_a_mold_that_moves_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "cup.toml"
     text = _CUP.replace("<load>", f"{_PRESSURE}[gas]\n{_AIR}")
     moving = "[mold.motion]\ndirection = [0, 0, -1]\ntime = [0.0, 0.1]\ndisplacement = [0.0, 0.01]\n[solver]"

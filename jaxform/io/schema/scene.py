@@ -304,7 +304,7 @@ class SceneFile(Table):
             raise validation_error("has two gases on the same side of the sheet", remedy, "gas", sides)
         if "mold" in sides and (self.mold is None or self.mold.motion is not None):
             problem = "there is no mold that closes it" if self.mold is None else "the mold moves, so it is not closed"
-            raise validation_error(f"is closed by the mold, but {problem}", "leave it out", "gas", {})
+            raise validation_error(f"is not possible: {problem}", "leave the gas out", "gas.closed_by", "mold")
         return self
 
     @model_validator(mode="after")
