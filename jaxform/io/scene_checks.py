@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import format_extent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
 from jaxform.io.surfaces import mirror_points
-from jaxform.io.tool_checks import heights_above, warn_of_motion, warn_of_tools
+from jaxform.io.tool_checks import heights_above, warn_of_land, warn_of_motion, warn_of_tools
 from jaxform.io.unit_checks import warn_of_units
 from jaxform.mechanics.membrane import equibiaxial_energy
 from jaxform.mesh import masks, raster, topology
@@ -212,6 +212,8 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
     if seen.mold is not None:
         _warn_of_mold(seen, file, getattr(tables, "mold", None), sheet, moves=scene.motion is not None)
     warn_of_motion(scene, file)
+    if tables is not None:
+        warn_of_land(scene, tables, file)
     given = [None] * len(scene.tools) if tables is None else tables.tool
     scales = [getattr(table, "scale", None) for table in given]
     sheet_scale = getattr(sheet, "scale", None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,6 +17,7 @@ from jaxform.model.scene import ContactSurface, Scene
 from jaxform.tools.crossings import proper_crossings
 from jaxform.tools.distances import Distances
 from jaxform.tools.mold import Mold, make_mold
+from jaxform.tools.parting import find_beyond_land
 from jaxform.tools.search import build_grid
 
 Array = NDArray[np.float64]
@@ -188,6 +190,46 @@ def _moves_off(away: list[float], size: float) -> bool:
     """True of distances [m] of a tool that is not near the sheet at first, and then only moves away from it."""
     farther = min(away) >= (1 - _SAME) * away[0] and away[-1] > away[0] + _FARTHER * size
     return farther and away[0] > _NEAR * size
+
+
+def warn_of_land(scene: Scene, tables: Any, file: str) -> None:
+    """Warns of a sheet that reaches, or is spread, beyond the land of a mold half, where nothing pinches it.
+
+    Args:
+        scene: The scene.
+        tables: Validated tables of its file.
+        file: The file that it was read from.
+    """
+    if scene.part is None:
+        return
+    given = [*([] if scene.mold is None else [tables.mold]), *tables.tool]
+    masks = [*([] if scene.mold is None else [scene.part.walls]), *scene.part.tool_walls]
+    points = _used_places(scene)
+    spread = _spread(tables.parison, points)
+    for surface, table, mask in zip(scene.surfaces, given, masks, strict=False):
+        if table.land is None or mask is None:
+            continue
+        tool = surface.mold
+        land = np.asarray(tool.triangles)[~np.asarray(mask)]
+        vertices = tool.vertices_at(end_of_way(scene, tool))
+        for places, words in ((points, "extends"), (spread, "is spread")):
+            beyond = find_beyond_land(places, vertices, land)
+            if beyond.any():
+                problem = (
+                    f"is too narrow for the sheet, which {words} to {format_place(places[beyond][0])}: what lies "
+                    "beyond the land is not pinched, and the pressure blows it up"
+                )
+                warn_of(problem, "make it wider, or the sheet shorter", key=f"{words_of(tool)[1]}.land", file=file)
+                break
+
+
+def _spread(parison: Any, points: Array) -> Array:
+    """Places (4, 3) [m] of the sides of a tube that is pressed flat, at the middle of its length; none of others."""
+    if parison.shape != "tube":
+        return np.zeros((0, 3))
+    reach, level = 0.5 * np.pi * parison.radius, 0.5 * (points[:, 2].min() + points[:, 2].max())
+    sides = np.array([[reach, 0.0], [-reach, 0.0], [0.0, reach], [0.0, -reach]])
+    return np.column_stack([sides, np.full(4, level)])
 
 
 def warn_of_motion(scene: Scene, file: str) -> None:

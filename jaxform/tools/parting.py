@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 _FLAT = 1e-6  # of the mold's size: vertices that are as near to a plane lie in it
 _RIM = 0.5  # of the length of the open edges, that lies in the parting plane at least
+_BEYOND = 1e-3  # of the land's size: what reaches less far beyond it lies on it
 _LEAST = 1e-9  # of the land's area: a smaller piece comes from rounding
 
 
@@ -82,6 +83,23 @@ def add_land(shape: MoldShape, width: float) -> tuple[MoldShape, int]:
     triangles = shapely.get_parts(np.asarray(triangles))
     flat = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
     return _join(shape, plane, flat)
+
+
+def find_beyond_land(points: Array, vertices: Array, land: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Mask (n,) of the points (n, 3) [m] that lie beyond a land, seen along the normal of its plane.
+
+    Args:
+        points: The points.
+        vertices: Vertices (k, 3) [m] of the mold half.
+        land: The triangles (m, 3) of its land, all in a plane across an axis; others are no land: the mask is empty.
+    """
+    places = vertices[np.unique(land)]
+    sides = np.ptp(places, axis=0)
+    across, near = np.arange(3) != int(np.argmin(sides)), _BEYOND * sides.max()
+    if sides.min() > near:
+        return np.zeros(len(points), bool)
+    low, high = places.min(0) - near, places.max(0) + near
+    return ((points < low) | (points > high))[:, across].any(1)
 
 
 def _outlines(shape: MoldShape, plane: Plane) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
