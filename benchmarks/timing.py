@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.model.scene import Scene
-from jaxform.runs import loop
+from jaxform.runs import host
 from jaxform.sheet.state import State
 
 
@@ -41,8 +41,8 @@ def best_in_turns(runs: dict[str, Callable[[], Any]], rounds: int = 7) -> dict[s
 
 def whole_loop(scene: Scene) -> Callable[[], State]:
     """The whole loop of a scene's run, compiled; it gives the last state."""
-    begun = loop.begin(scene)
-    advance, most = loop.compile_advance(begun[0], scene, *begun[1:]), jnp.int32(scene.tables.window_count)
+    begun = host.begin(scene)
+    advance, most = host.compile_advance(begun[0], scene, *begun[1:]), jnp.int32(scene.tables.window_count)
     return lambda: advance(begun[0], scene, *begun[1:], most)[0]
 
 

@@ -1,10 +1,9 @@
 from . import molds, plot, scenes, shapes
 from .adapt.refinement import fitted
-from .adjoint.gradient_check import GradientCheck, check_gradient
-from .adjoint.strategies import Adjoint, Checkpointed, Reversed, Stored
+from .adjoint.strategies import Adjoint, Checkpointed, GradientCheck, Reversed, Stored, check_gradient
 from .core.compilation import compiler_options, keep_programs
 from .core.errors import InputError, InputWarning
-from .core.parameters import parameter
+from .core.pytree import parameter
 from .io.files import load
 from .loads import (
     Gas,
@@ -36,7 +35,7 @@ from .materials import (
     Yeoh,
     law,
 )
-from .mesh.profiles import Profile
+from .mesh.grids import Profile
 from .model.field import Field, Surroundings, field
 from .model.part import Part, Trim, make_part
 from .model.replacement import replace
@@ -56,11 +55,10 @@ from .runs.host import Moment, run
 from .runs.padding import padded
 from .runs.simulation import sensitivity, simulate, simulate_batch
 from .sheet.state import Schedule, Status
-from .sweeps.engine import Outcome
 from .sweeps.sweep import sweep
+from .sweeps.workers import Outcome
 from .tools.contact_law import ContactLaw, Coulomb, Slide, Stick, make_contact_law
-from .tools.mold import Mold, make_mold
-from .tools.motion import Motion, make_motion
+from .tools.mold import Mold, Motion, make_mold, make_motion
 
 __all__ = [
     "Adjoint",

@@ -2,13 +2,13 @@
 
 from jaxform.core.compilation import compile_function
 from jaxform.core.errors import warn_of
-from jaxform.core.parameters import list_parameter_names, parameter_ranges
-from jaxform.core.pytree import as_real
+from jaxform.core.pytree import as_real, list_parameter_names, parameter_ranges
 from jaxform.core.ranges import LEAST, MOST, Range
 from jaxform.core.store import Store
 from jaxform.materials import LAWS, MODES, Modes
-from jaxform.mechanics.constitutive import Overstress, ViscousMemory
-from jaxform.mechanics.material_point import (
+from jaxform.mechanics.constitutive import (
+    Overstress,
+    ViscousMemory,
     advance_memory,
     initial_overstress,
     principal_nominal_stress,
@@ -21,10 +21,10 @@ from jaxform.results.part import mask_part, part_elements
 from jaxform.results.result import drop_unused
 from jaxform.results.sections import symmetry_planes
 from jaxform.results.summary import QUASI_STATIC_LIMIT
-from jaxform.sweeps.engine import Outcome, evaluate, guarded
+from jaxform.sweeps.designs import MOST_SOBOL
 from jaxform.sweeps.evaluation import Setting as WorkerSetting
 from jaxform.sweeps.evaluation import compile_once, set_up, worker_setting
-from jaxform.sweeps.sampling import MOST_SOBOL
+from jaxform.sweeps.workers import Outcome, evaluate, guarded
 
 __all__ = [
     "LAWS",

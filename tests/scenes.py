@@ -23,7 +23,7 @@ from jaxform.materials import Law
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
-from jaxform.runs import loop
+from jaxform.runs import host
 from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet import active_set
 from jaxform.sheet.discretization import NEVER, Discretization
@@ -100,14 +100,14 @@ def call_elsewhere[T](function: Callable[[], T]) -> T:
 
 def begin_run(scene: Scene) -> tuple[State, Discretization]:
     """The first state and the sheet, each operation of which would be a program of its own."""
-    return loop.begin(scene)[:2]
+    return host.begin(scene)[:2]
 
 
 def at_rest(scene: Scene) -> Result:
     """The part before the first step; by programs for all scenes of its rungs."""
     room = pad_to_bucket(scene)
     state, sheet = begin_run(room.scene)
-    return room.result(loop.result_of(state, room.scene, sheet))
+    return room.result(host.result_of(state, room.scene, sheet))
 
 
 def assert_refused(folder: Path, text: str, words: str, named: str = "scene.toml") -> None:

@@ -27,7 +27,7 @@ from jaxform.dynamics import window as windows
 from jaxform.io import files
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, drop_unused
-from jaxform.runs import loop
+from jaxform.runs import host
 from jaxform.sheet import active_set, discretization
 from jaxform.sheet.state import State, is_finished
 
@@ -214,7 +214,7 @@ def show_overhead() -> list[Row]:
         scene, part, seconds = run_timed(scene)
         limits = scene.refinement
         assert limits is not None
-        state, first, _ = loop.begin(scene)
+        state, first, _ = host.begin(scene)
         look = jax.jit(functools.partial(_look, scene))
         advance = jax.jit(lambda state, now, scene=scene: windows.window(state, scene, now, differentiable=False))
         now, spent, growths = discretization.present_discretization(scene, state.mesh, first), 0.0, 0

@@ -21,7 +21,7 @@ from benchmarks.design import page
 from benchmarks.design.controls import ramp, show_heaters, show_melt
 from benchmarks.pages import DOCS, Found, read_figures, store_figures
 from jaxform.io import catalog
-from jaxform.mesh.profiles import Profile
+from jaxform.mesh.grids import Profile
 from optimize.search import Search
 from optimize.wall_statistics import nodal_area
 

@@ -34,7 +34,7 @@ from jaxform.dynamics import timestep
 from jaxform.dynamics import window as windows
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin
 from jaxform.model.tables import SHORT_WINDOW
-from jaxform.runs import loop
+from jaxform.runs import host
 from jaxform.sheet import energy_balance
 from jaxform.sheet.active_set import ActiveSet, active_set_of, pack_moving
 from jaxform.sheet.discretization import Discretization
@@ -225,8 +225,8 @@ def show_skips() -> Table:
 
 def moving_share(scene: jaxform.Scene) -> tuple[int, int]:
     """Element steps of elements that can move, and steps, of a run."""
-    state, body, taken = loop.begin(scene)
-    advance = loop.compile_advance(state, scene, body, taken)
+    state, body, taken = host.begin(scene)
+    advance = host.compile_advance(state, scene, body, taken)
     sheet = scene.tables.sheet
     count = jax.jit(lambda state: can_move(state.nodes.stuck, sheet.triangles, sheet.area).sum())
     moved, done = 0, False
@@ -280,8 +280,8 @@ def with_windows_of(steps: int, scene: jaxform.Scene) -> jaxform.Scene:
 def show_parts(window: int = 20) -> Table:
     """Cost of the parts of a step and of a short window's border on the dish [us], all elements moving."""
     scene = with_windows_of(SHORT_WINDOW, jaxform.load("dish"))
-    state, body, taken = loop.begin(scene)
-    state = loop.compile_advance(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
+    state, body, taken = host.begin(scene)
+    state = host.compile_advance(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
     free = dataclasses.replace(scene, mold=None, tables=dataclasses.replace(scene.tables, grid=None))
     undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
@@ -356,7 +356,7 @@ def _repeat(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> Cal
 
         return jax.lax.fori_loop(0, _TIMES, once, jnp.zeros(()))
 
-    active = jax.jit(active_set_of)(state, scene, loop.begin(scene)[1])
+    active = jax.jit(active_set_of)(state, scene, host.begin(scene)[1])
     taken = active.pack_state(state)
     return lambda: several(taken, scene, active)
 

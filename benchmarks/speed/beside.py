@@ -24,7 +24,7 @@ from jaxform.core.store import Store
 from jaxform.io import files, output, plots
 from jaxform.mesh import meshes
 from jaxform.results.filling import measure_filling
-from jaxform.results.part_warnings import warnings_of_part
+from jaxform.results.part import warnings_of_part
 from jaxform.results.summary import measure_penetration
 from jaxform.runs import padding
 from jaxform.tools.molds import MoldShape, revolved

@@ -24,7 +24,7 @@ from jaxform import molds, shapes
 from jaxform.contact import broad_phase, candidates, sticking
 from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics import membrane
-from jaxform.mechanics.nodes import Nodes
+from jaxform.mechanics.elements import Nodes
 from jaxform.model.scene import Scene
 from jaxform.results.summary import measure_penetration
 from jaxform.tools.mold import Mold

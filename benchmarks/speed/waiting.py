@@ -26,7 +26,7 @@ from jaxform import molds, shapes
 from jaxform.core.store import Store
 from jaxform.mesh import meshes
 from jaxform.model.scene import Scene
-from jaxform.runs import loop, padding
+from jaxform.runs import host, padding
 from jaxform.tools.molds import MoldShape
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
@@ -84,7 +84,7 @@ def show_second() -> None:
 
 def _whole(scene: Scene, store: Store) -> Callable[[], Any]:
     """A run of a scene in arrays as they are, from its begin to its result, compiled beforehand."""
-    programs = loop.programs(scene, store)
+    programs = host.programs(scene, store)
     made, last = programs.result.ready(), np.bool_(True)
     most = np.int32(scene.tables.window_count)
 

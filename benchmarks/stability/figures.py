@@ -32,7 +32,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
 from jaxform.results.result import Result
 from jaxform.results.tool_contact import wall_statistics
-from jaxform.runs import loop, simulation
+from jaxform.runs import host, simulation
 from jaxform.sheet import packing
 from jaxform.sheet.discretization import discretize
 from jaxform.sheet.state import State, is_finished
@@ -96,11 +96,11 @@ def true_limit(state: State, scene: Scene) -> jax.Array:
 
 def windows(scene: Scene, most: int = 10_000) -> Iterator[tuple[State, State]]:
     """The states before and after each window."""
-    state, first, taken = loop.begin(scene)
+    state, first, taken = host.begin(scene)
     for _ in range(min(most, scene.tables.window_count)):
         if bool(is_finished(state, scene)):
             return
-        after, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(1))
+        after, taken, _ = host.advance(state, scene, first, taken, jnp.int32(1))
         yield state, after
         state = after
 
@@ -200,11 +200,11 @@ def _ringing(sheet: Sheet, end: float) -> Scene:
 def measure_drift(steps: int, points: int = 200) -> Found:
     """What the account of energy misses over time, over the largest work."""
     scene = ringing(steps)
-    state, first, taken = loop.begin(scene)
+    state, first, taken = host.begin(scene)
     rows, began, most = [], time.perf_counter(), max(1, steps // SHORT_WINDOW // points)
     while not bool(is_finished(state, scene)) and int(state.windows) < scene.tables.window_count:
-        state, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(most))
-        result = loop.result_of(state, scene, first, taken)
+        state, taken, _ = host.advance(state, scene, first, taken, jnp.int32(most))
+        result = host.result_of(state, scene, first, taken)
         energy = result.energy
         missed = float(energy.strain) + float(energy.kinetic) - float(energy.external_work)
         rows.append([int(state.steps), missed / float(state.peak_work)])

@@ -25,7 +25,7 @@ from jaxform.core.store import Store
 from jaxform.materials import MODES, Law, Modes
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
-from jaxform.prepare import refinement_setup, window_budget
+from jaxform.prepare import planning
 from jaxform.tools import search
 
 WINDOWS = 1500  # room for a run's schedule; scenes that plan for more are shortened
@@ -168,14 +168,14 @@ def normalised(name: str, scene: jaxform.Scene, tags: list[str]) -> Drawn:
         share = 0.9 * WINDOWS / planned
         changes = {"solver.end_time": share * np.asarray(scene.solver.end_time)}
         scene = jaxform.replace(scene, changes | {"pressure.time": share * np.asarray(scene.pressure.time)})
-        planned = window_budget.plan_windows(scene.tables.bound, scene.law, scene.solver)
-        planned = min(planned + window_budget.spare_windows(scene.tables.grid), WINDOWS)
+        planned = planning.plan_windows(scene.tables.bound, scene.law, scene.solver)
+        planned = min(planned + planning.spare_windows(scene.tables.grid), WINDOWS)
         tags.append("shortened")
     grid = None if scene.mold is None else _common_grid(scene)
     longest = np.int32(LONG_WINDOW if scene.refinement is None else SHORT_WINDOW)
     tables = dataclasses.replace(scene.tables, grid=grid, window_count=WINDOWS, longest_window=longest)
     if tables.forest is not None and tables.forest.bend is not None and scene.mold is not None and grid is not None:
-        forest = dataclasses.replace(tables.forest, bend=refinement_setup.bends(scene.mold, grid))
+        forest = dataclasses.replace(tables.forest, bend=planning.bends(scene.mold, grid))
         tables = dataclasses.replace(tables, forest=forest)
     return Drawn(name, dataclasses.replace(scene, tables=tables), planned, tags)
 

@@ -24,7 +24,7 @@ from benchmarks.stability.random_scenes import Drawn, draw
 from benchmarks.strangers.scenes import OFF
 from jaxform.results.result import Result
 from jaxform.results.summary import measure_penetration, summarize, warnings_of_mold
-from jaxform.runs import loop
+from jaxform.runs import host
 from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.state import LOSSES, State, Status, is_finished
 
@@ -39,16 +39,16 @@ def run_drawn(drawn: Drawn, limit: float = LIMIT) -> tuple[State, Result]:
     """What `jaxform.run` does, with the windows that the scene had planned, looking at the clock."""
     room, left = pad_to_bucket(drawn.scene, recorded=True), drawn.planned
     scene = room.scene
-    state, first, taken = loop.begin(scene)
-    loop.compile_advance(state, scene, first, taken)  # not counted
+    state, first, taken = host.begin(scene)
+    host.compile_advance(state, scene, first, taken)  # not counted
     began = time.perf_counter()
     while left > 0 and not bool(is_finished(state, scene)):
         most = min(left, _AT_ONCE)
-        state, taken, _ = loop.compile_advance(state, scene, first, taken)(state, scene, first, taken, jnp.int32(most))
+        state, taken, _ = host.compile_advance(state, scene, first, taken)(state, scene, first, taken, jnp.int32(most))
         left -= most
         if time.perf_counter() - began > limit:
             state = dataclasses.replace(state, status=jnp.int32(state.status | Status.STOPPED))
-    return loop.finalize_state(state, scene, first), room.result(loop.result_of(state, scene, first, taken, last=True))
+    return host.finalize_state(state, scene, first), room.result(host.result_of(state, scene, first, taken, last=True))
 
 
 def examine(drawn: Drawn, state: State, result: Result) -> Row:

@@ -25,9 +25,8 @@ from typing import Any
 import numpy as np
 
 from jaxform.core import disk
-from jaxform.sweeps.engine import evaluate
 from jaxform.sweeps.records import Records
-from jaxform.sweeps.workers import connect
+from jaxform.sweeps.workers import connect, evaluate
 
 DESIGNS, WORKERS, EVERY, LASTS = 200, 4, 3.0, 0.4  # seconds between kills, and that a design takes
 _SCENE = "dish-coarse"

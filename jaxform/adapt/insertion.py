@@ -22,15 +22,14 @@ from jaxform.contact.ray_crossings import Crossings, ray_crossings
 from jaxform.contact.sliding import on_surface
 from jaxform.kernels.blocks import BLOCK, compact_indices, lax_cond_once, put, slice_at
 from jaxform.kernels.derivatives import save_decision
+from jaxform.mechanics.elements import Nodes
 from jaxform.mechanics.membrane import cross, dot, unstack_rows, vector
-from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Adaptivity, Scene
 from jaxform.model.tables import BisectionHierarchy
 from jaxform.sheet.discretization import RefinedMesh
 from jaxform.sheet.state import State, initial_node_state
 from jaxform.tools import search
-from jaxform.tools.mold import Mold
-from jaxform.tools.motion import ToolFrame
+from jaxform.tools.mold import Mold, ToolFrame
 from jaxform.tools.search import SearchGrid, cell_of
 from jaxform.tools.search import distance as distance_to
 from jaxform.tools.surface_walk import ContactSurface, project_on_plane

@@ -13,9 +13,8 @@ from jaxform.kernels import blocks
 from jaxform.kernels.blocks import ArraySlice, compact_indices, materialize, over_blocks
 from jaxform.materials import Law
 from jaxform.mechanics.corners import Load, corner_forces
-from jaxform.mechanics.elements import Corners, gather_shares, gather_table
+from jaxform.mechanics.elements import Corners, Nodes, gather_shares, gather_table
 from jaxform.mechanics.membrane import Vector, dot, unstack_rows, vector
-from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
 from jaxform.sheet.energy_balance import rim_ends, rim_swept_volume
 from jaxform.sheet.packing import Packed

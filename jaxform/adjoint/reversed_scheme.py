@@ -29,8 +29,7 @@ from jaxform.adjoint.backward import (
     rim_end_positions,
     step_nodes_back,
 )
-from jaxform.core.parameters import parameter_ranges
-from jaxform.core.pytree import pytree
+from jaxform.core.pytree import parameter_ranges, pytree
 from jaxform.dynamics.timestep import LEAST_LEFT
 from jaxform.dynamics.window import window, window_and_impacts
 from jaxform.kernels.blocks import ArraySlice, lax_cond_once, over_blocks

@@ -17,12 +17,11 @@ from jaxform.io.scene_checks import Survey, survey
 from jaxform.model import mesh_connectivity
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
-from jaxform.prepare import window_budget
+from jaxform.prepare import planning
 from jaxform.results.summary import QUASI_STATIC_LIMIT
-from jaxform.runs.loop import is_compiled
+from jaxform.runs.host import is_compiled
 from jaxform.tools.contact_law import Coulomb, Slide
-from jaxform.tools.mold import Mold
-from jaxform.tools.motion import Motion
+from jaxform.tools.mold import Mold, Motion
 
 # Measured on one core of a 2-core machine (docs/speed.md says more): of an element and of a step by itself, and what a
 # process takes before it has a scene.
@@ -198,14 +197,12 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
         )
         elements = limits.elements
     sharper = _MEASURED_TO_BOUND if scene.solver.sharp_step else 1.0
-    step, end = sharper * window_budget.first_step(scene), float(scene.solver.end_time)
+    step, end = sharper * planning.first_step(scene), float(scene.solver.end_time)
     longest = int(scene.tables.longest_window)
     steps_each = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
     windows = f"at most {scene.tables.window_count} windows of {steps_each} steps"
     yield f"to {end:.4g} s, first step about {step:.3g} s, {windows}"
-    steps = end / step + sum(
-        window_budget.tool_steps(each.mold.motion, each.grid, end, step) for each in scene.surfaces
-    )
+    steps = end / step + sum(planning.tool_steps(each.mold.motion, each.grid, end, step) for each in scene.surfaces)
     seconds = steps * (_PER_STEP + elements * _PER_ELEMENT)
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
     most = "up to " if scene.refinement is not None else ""

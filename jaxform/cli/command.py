@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from jaxform.cli import adapt_command, export_command, fit_command, new_command, session, sweep_command
-from jaxform.core import disk, errors, release
+from jaxform.core import disk, errors, installation
 from jaxform.core.errors import InputError, collect_warnings
 from jaxform.io import catalog
 
@@ -70,7 +70,7 @@ class _Version(argparse.Action):
     """Prints the version, which is looked up only then."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        session.say(f"{parser.prog} {release.version()}")
+        session.say(f"{parser.prog} {installation.version()}")
         parser.exit()
 
 

@@ -73,7 +73,7 @@ def export(arguments: argparse.Namespace) -> int:
 
 def _map_wall(arguments: argparse.Namespace, wall: WallSurface) -> tuple[WallSurface, list[str]]:
     """The wall on the given mesh, in its coordinates, and notes about it."""
-    from jaxform.io.export import mapping, pose
+    from jaxform.io.export import mapping
     from jaxform.mesh import meshes
 
     path, name = disk.expand_path(arguments.onto), str(arguments.onto)
@@ -81,7 +81,7 @@ def _map_wall(arguments: argparse.Namespace, wall: WallSurface) -> tuple[WallSur
     posed = dataclasses.replace(mesh, positions=place(mesh.positions))
     reach = mapping.FARTHEST * meshes.size(wall.positions)
     from_mold = bool(said)
-    side, nodes, share = pose.contact_side(wall, posed, reach, whole=not from_mold)
+    side, nodes, share = mapping.contact_side(wall, posed, reach, whole=not from_mold)
     if share < 1.0:
         said.append(
             f"of {name}, the side on which the sheet lies is written, {100 * share:.3g} % of its area; the rest, "
@@ -98,10 +98,10 @@ def _target(
     arguments: argparse.Namespace, wall: WallSurface, path: Path
 ) -> tuple[Mesh, Callable[[np.ndarray], np.ndarray], list[str]]:
     """The given mesh [m], the pose that moves it into the scene, and a sentence where these differ."""
-    from jaxform.io.export import mapping, pose
+    from jaxform.io.export import mapping
 
     given = 1.0 if arguments.scale is None else arguments.scale
-    mold_pose = None if arguments.pose == "scene" else pose.read_pose(arguments.folder)
+    mold_pose = None if arguments.pose == "scene" else mapping.read_pose(arguments.folder)
     if mold_pose is None and arguments.pose == "file":
         problem, remedy = "the scene in DIR has no mold from a file", "give --pose scene"
         raise InputError(problem, remedy, "--pose", arguments.pose)
@@ -113,7 +113,7 @@ def _target(
             if mold_pose.contains_file(path)
             else "is taken to be in the coordinates of the mold's file"
         )
-        if known or pose.fits_better_posed(
+        if known or mapping.fits_better_posed(
             wall, scaled, mold_pose.place(scaled.positions), mapping.read_target(path, given)
         ):
             return (
@@ -145,9 +145,9 @@ def _plane(text: str, wall: WallSurface) -> tuple[int, float]:
 
 
 def _tell(arguments: argparse.Namespace, wall: WallSurface, said: list[str], path: Path) -> None:
-    from jaxform.io.export import formats
+    from jaxform.io.export import wall
 
     if arguments.quiet:
         return
-    for line in [*said, formats.head(wall)[-1], f"written to {path}"]:
+    for line in [*said, wall.head(wall)[-1], f"written to {path}"]:
         session.say(line)

@@ -51,7 +51,7 @@ def fit(arguments: argparse.Namespace) -> int:
     import optimize
     from jaxform.core.ranges import RANGES, check_one
     from jaxform.io import output
-    from jaxform.io.model_files import import_models
+    from jaxform.io.files import import_models
 
     if arguments.model_file is not None:
         import_models(disk.expand_path(arguments.model_file))

@@ -132,11 +132,11 @@ def _check_positive(key: str, value: float | None) -> None:
 
 def _warn(made: Draft) -> None:
     """Warns of findings that the user may not intend."""
-    from jaxform.io import scene_choices, scene_text, unit_checks
+    from jaxform.io import plausibility, scene_choices, scene_text
     from jaxform.tools import opening
 
     found, largest = made.found, float(made.size.max())
-    if made.guessed and unit_checks.METRES < largest <= _LARGE:
+    if made.guessed and plausibility.METRES < largest <= _LARGE:
         problem = f"its bounding box is {largest:.4g} units long: assumed to be in {made.units}"
         warn_of(problem, "give --scale 1 if it is in metres", key="--mold")
     if made.rest is not None:

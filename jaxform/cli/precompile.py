@@ -25,7 +25,7 @@ from jaxform.materials import Law, ModifiedMooneyRivlin, MooneyRivlin, NeoHookea
 from jaxform.mesh import shapes
 from jaxform.model.scene import Scene, make_parison, make_refinement, make_solver
 from jaxform.prepare.scene_builder import build_scene
-from jaxform.runs.loop import compile_for, is_compiled
+from jaxform.runs.host import compile_for, is_compiled
 from jaxform.tools import molds
 from jaxform.tools.mold import make_mold
 

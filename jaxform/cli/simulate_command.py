@@ -27,7 +27,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         say, store = session.prepare(arguments, subject)
         from jaxform.io import files, process, scene_rewriting
         from jaxform.io.output import Frames
-        from jaxform.runs import loop
+        from jaxform.runs import host
 
         document = files.read_scene(arguments.source)
         reference = files.read_reference(document)
@@ -36,7 +36,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         session.open_folder(arguments.out, arguments.force)
         frames = Frames(arguments.out, document.model.output.frames)
         frames.begin(scene)
-        loop.start_programs(scene, store)
+        host.start_programs(scene, store)
         look = session.run_in_background(lambda: _warn_of_scene(scene, document, arguments.warned))
         # Warnings of the run come after those of the scene, whichever ends first.
         with defer_warnings(), look as looked:

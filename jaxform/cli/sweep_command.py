@@ -16,8 +16,8 @@ from typing import Any
 
 from jaxform.cli import session
 from jaxform.core import disk
-from jaxform.core.cores import usable_cores
 from jaxform.core.errors import warn_of
+from jaxform.core.installation import usable_cores
 from jaxform.io import catalog
 
 _MOST_NAMED = 20  # failed designs
@@ -56,7 +56,7 @@ def sweep(arguments: argparse.Namespace) -> int:
         InputError: The study, table or scene is wrong, or rows can no longer be written to disk.
     """
     from jaxform.sweeps import records
-    from jaxform.sweeps.folder import DESIGNS, head, record_designs
+    from jaxform.sweeps.records import DESIGNS, head, record_designs
 
     began, say = time.perf_counter(), (lambda _: None) if arguments.quiet else session.say
     task = _task(arguments)
@@ -196,7 +196,7 @@ def _finish(
 ) -> None:
     """Writes what is made of the whole table: its units, pictures, the report, and results.parquet."""
     from jaxform.io.output import write_json
-    from jaxform.sweeps import pictures, records, report
+    from jaxform.sweeps import records, report
     from jaxform.sweeps.designs import unit_of
 
     folder: Path = arguments.out
@@ -215,7 +215,7 @@ def _finish(
         "variables": task.paths,
     }
     write_json(folder / "sweep.json", facts)
-    drawn = pictures.draw_all(folder, task.paths, rows, units)
+    drawn = report.draw_all(folder, task.paths, rows, units)
     report.write_report(folder, facts, columns, rows, drawn)
     if not parquet and not arguments.quiet:
         session.say(f"{records.PARQUET} needs pyarrow, which is not installed: pip install 'jaxform[sweep]'")

@@ -15,8 +15,8 @@ from jaxform.io import output, scene_rewriting, schema
 from jaxform.io.files import SceneDocument, StudyDocument
 from jaxform.io.validation import validate
 from jaxform.sweeps import evaluation
-from jaxform.sweeps.engine import OK, Outcome
 from jaxform.sweeps.evaluation import Setting
+from jaxform.sweeps.workers import OK, Outcome
 
 MEASURES = {"objective": "", "thickness_rms_error": "", "violation": "", "simulations": ""}
 """Columns of what a search gives, besides those of the simulated best design, and their units."""

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
-from jaxform.core.cores import usable_cores
+from jaxform.core.installation import usable_cores
 
 _NO_ANSWER = (OSError, EOFError)  # where the other process is no more
 

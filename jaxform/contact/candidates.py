@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.broad_phase import LOOK_EVERY
-from jaxform.contact.lists import DEPTH, LANES, TEST_BLOCK, CandidateLists, Candidates, allocate_lists
+from jaxform.contact.broad_phase import DEPTH, LANES, LOOK_EVERY, TEST_BLOCK, CandidateLists, Candidates, allocate_lists
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import (
     BLOCK,
@@ -27,8 +26,8 @@ from jaxform.kernels.blocks import (
     scatter_min,
     slice_at,
 )
+from jaxform.mechanics.elements import highest_speed
 from jaxform.mechanics.membrane import dot, gather
-from jaxform.mechanics.nodes import highest_speed
 from jaxform.tools.search import (
     CLASSES,
     FarCells,

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 
 from jaxform.contact.sliding import ContactLosses, LyingNodes, mobile_components, on_surface
 from jaxform.kernels.blocks import materialize
+from jaxform.mechanics.elements import Nodes
 from jaxform.mechanics.membrane import Vector, cross, dot, minus, vector
-from jaxform.mechanics.nodes import Nodes
-from jaxform.tools.motion import ToolFrame, tool_offset, tool_velocity
+from jaxform.tools.mold import ToolFrame, tool_offset, tool_velocity
 from jaxform.tools.surface_walk import LEAST, OUT, ContactSurface, facets
 
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxform.mechanics.elements import Nodes
 from jaxform.mechanics.membrane import Vector, dot, minus, plus, vector
-from jaxform.mechanics.nodes import Nodes
-from jaxform.tools.motion import ToolFrame
+from jaxform.tools.mold import ToolFrame
 from jaxform.tools.search import touch_distance
 from jaxform.tools.surface_walk import ContactSurface, Glide, facets, move_along, project_on_plane
 

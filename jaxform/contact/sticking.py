@@ -16,14 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.contact.broad_phase import DueBlocks
-from jaxform.contact.lists import TEST_BLOCK, Candidates
+from jaxform.contact.broad_phase import TEST_BLOCK, Candidates, DueBlocks
 from jaxform.contact.sliding import land_and_slide, mobile_components, on_surface
 from jaxform.kernels.blocks import entry, lax_cond_once, materialize, put, read_rows, slice_at
+from jaxform.mechanics.elements import Nodes
 from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, unstack_rows
-from jaxform.mechanics.nodes import Nodes
-from jaxform.tools.mold import Mold
-from jaxform.tools.motion import ToolFrame
+from jaxform.tools.mold import Mold, ToolFrame
 from jaxform.tools.search import touch_distance
 from jaxform.tools.surface_walk import ContactSurface
 

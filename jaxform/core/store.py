@@ -30,12 +30,12 @@ from jaxform.core import disk
 from jaxform.core.compilation import (
     compile_on_thread,
     compiler_options,
+    default_device,
     exceeds_program_limit,
     start_compiling,
     submit_compilation,
 )
 from jaxform.core.errors import InputError
-from jaxform.core.promotion import default_device
 from jaxform.core.pytree import is_internal
 
 Arrays = Mapping[str, np.ndarray]

@@ -18,6 +18,7 @@ from jaxform.contact import sticking
 from jaxform.contact.broad_phase import (
     LOOK_EVERY,
     BroadPhaseCheck,
+    Candidates,
     DueBlocks,
     all_blocks,
     check_nodes,
@@ -26,11 +27,10 @@ from jaxform.contact.broad_phase import (
     may_have_missed,
     no_active_pairs,
 )
-from jaxform.contact.lists import Candidates
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once, materialize, over_blocks
 from jaxform.model.scene import Scene
-from jaxform.tools.motion import ToolFrame
+from jaxform.tools.mold import ToolFrame
 
 FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 

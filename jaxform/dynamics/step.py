@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxform.contact.broad_phase import Candidates
 from jaxform.contact.facet_slip import KnownFacets, find_facets, slide_within_facets
-from jaxform.contact.lists import Candidates
 from jaxform.contact.sliding import ContactLosses, LyingNodes, lying_nodes, slide_nodes
 from jaxform.dynamics.contact_step import check_free_flight, replay_contact, search_contact, update_broad_phase
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
@@ -45,7 +45,7 @@ from jaxform.model.field import Surroundings, advance_fields
 from jaxform.model.scene import Scene
 from jaxform.sheet.energy_balance import pressure_at, rim_ends, rim_swept_volume
 from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, update_velocity
-from jaxform.tools.motion import ToolFrame, tool_velocity
+from jaxform.tools.mold import ToolFrame, tool_velocity
 
 
 def step(

@@ -17,11 +17,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.kernels.blocks import ArraySlice, lax_cond_once, materialize, over_blocks
-from jaxform.mechanics import membrane, stiffness
+from jaxform.mechanics import constitutive, membrane
 from jaxform.mechanics.constitutive import instantaneous_memory
 from jaxform.mechanics.corners import Load, corner_force_changes
-from jaxform.mechanics.elements import Corners, allocate_corner_forces, gather_shares, gather_table
-from jaxform.mechanics.nodes import highest_speed
+from jaxform.mechanics.elements import Corners, allocate_corner_forces, gather_shares, gather_table, highest_speed
 from jaxform.model.scene import Scene
 from jaxform.model.tables import MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet, Workspace
@@ -152,12 +151,12 @@ def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> j
         # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
         moving = can_move(immobile, triangles, area) if scene.rests else area > 0.0
         material = element_law(scene.material, zones, modes)
-        return [], [stiffness.element_stiffness(rows, triangles, inverse, bound, moving, material, memory)]
+        return [], [constitutive.element_stiffness(rows, triangles, inverse, bound, moving, material, memory)]
 
     own = elements.triangles, elements.inverse_metric, elements.area
     inputs = own, active.bound, active.zones, state.memory, active.modes
     _, (largest,) = over_blocks(work, elements.block_count, inputs, [], most=1)
-    step = stiffness.stable_step(largest, scene.material)
+    step = constitutive.stable_step(largest, scene.material)
     if not scene.pressure.follows_volume:
         return step
     # The largest eigenvalue of a sum is at most the sum of the largest ones.

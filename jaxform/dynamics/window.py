@@ -17,10 +17,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact import sticking
-from jaxform.contact.broad_phase import initial_check
+from jaxform.contact.broad_phase import CandidateLists, Candidates, allocate_lists, initial_check
 from jaxform.contact.candidates import list_candidates
 from jaxform.contact.facet_slip import begin_facets
-from jaxform.contact.lists import CandidateLists, Candidates, allocate_lists
 from jaxform.dynamics.contact_step import any_missed, to_tool_frame
 from jaxform.dynamics.step import finalize_history, step
 from jaxform.dynamics.timestep import (

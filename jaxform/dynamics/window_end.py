@@ -22,7 +22,7 @@ from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.energy_balance import element_energy, energy_rounding, last_work, pressure_at
 from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, update_velocity
 from jaxform.sheet.state import PackedState, Replay, State, Status
-from jaxform.tools.motion import tool_velocity
+from jaxform.tools.mold import tool_velocity
 
 _MOST_RETRIES = 12
 SLACK = 1e-3  # of a step: less is rounding

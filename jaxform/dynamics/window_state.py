@@ -15,8 +15,7 @@ from jaxform.contact.sticking import FirstHits
 from jaxform.core.pytree import as_real, pytree
 from jaxform.loads import first_pressure
 from jaxform.materials import Modes, Recursion
-from jaxform.mechanics.elements import Corners
-from jaxform.mechanics.nodes import Nodes
+from jaxform.mechanics.elements import Corners, Nodes
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet

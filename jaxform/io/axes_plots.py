@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_real
-from jaxform.io import plots, surfaces, views
+from jaxform.io import canvas, plots, surfaces
 from jaxform.io.surfaces import distinguishable_points
 from jaxform.model.scene import Scene
 from jaxform.results import sections
@@ -51,7 +51,7 @@ def part(
         raise InputError("is not a three-dimensional axes", 'make it with projection="3d"', "ax", ax.name)
     scene, result = drop_unused(scene, result)
     view = surfaces.part_view(scene, result, limits or plots.wall_scale([(scene, result)]), edges=edges)
-    colors = views.draw(ax, view if mold else view._replace(surfaces=view.surfaces[-1:], outline=None))
+    colors = canvas.draw(ax, view if mold else view._replace(surfaces=view.surfaces[-1:], outline=None))
     if bar:
         ax.figure.colorbar(colors, ax=ax, label="wall thickness [mm]", shrink=0.6, pad=0.18)
     return ax

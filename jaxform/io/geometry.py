@@ -19,10 +19,10 @@ from jaxform.core.store import Arrays, Store
 from jaxform.io import previous_results, schema
 from jaxform.io.scene_text import COVERS
 from jaxform.mesh import meshes, shapes
+from jaxform.mesh.grids import Profile
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.profiles import Profile
 from jaxform.model.part import Part, make_part, select_mold_files
-from jaxform.tools import footprint, molds, motion, parting
+from jaxform.tools import footprint, mold, molds, parting
 from jaxform.tools.contact_law import make_contact_law
 from jaxform.tools.distances import Distances, interpolate, weights
 from jaxform.tools.mold import Mold, make_mold
@@ -301,7 +301,7 @@ def build_mold(document: SceneDocument, store: Store | None = None, read: ReadMe
     table = document.model.mold
     if table is None:
         return None
-    moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())
+    moves = None if table.motion is None else mold.make_motion(**table.motion.model_dump())
     return _build_surface(document, table, moves, store, read)
 
 
@@ -311,7 +311,7 @@ def build_tools(document: SceneDocument, store: Store | None = None, read: ReadM
     for number, table in enumerate(document.model.tool, 1):
         name = schema.tool_name(table, number)
         with _tool_errors(name):
-            moves = None if table.motion is None else motion.make_motion(**table.motion)
+            moves = None if table.motion is None else mold.make_motion(**table.motion)
             made.append(_build_surface(document, table, moves, store, read, name))
     return made
 
@@ -359,7 +359,7 @@ _SHAPES: dict[type, Callable[..., molds.MoldShape]] = {
 def _build_surface(
     document: SceneDocument,
     table: schema.PlacedTable,
-    moves: motion.Motion | None,
+    moves: mold.Motion | None,
     store: Store | None,
     read: ReadMesh,
     name: str = "",

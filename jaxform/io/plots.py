@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import format_coordinate
-from jaxform.core.parameters import parameter_ranges
-from jaxform.core.pytree import as_real
-from jaxform.io import canvas, views
-from jaxform.io.canvas import Line, PartPicture, new_figure, save
+from jaxform.core.pytree import as_real, parameter_ranges
+from jaxform.io import canvas
+from jaxform.io.canvas import MINIMUM, Line, PartPicture, draw, new_figure, save
 from jaxform.io.scene_checks import Survey, box_size, survey
 from jaxform.io.surfaces import (
     SHEET,
@@ -27,16 +26,14 @@ from jaxform.io.surfaces import (
     tool_colors,
     tool_faces,
 )
-from jaxform.io.views import MINIMUM, draw
 from jaxform.model.replacement import number_at
 from jaxform.model.scene import Scene
 from jaxform.results import sections
-from jaxform.results.part import restrict_to_part
-from jaxform.results.part_warnings import thinnest_element
+from jaxform.results.part import restrict_to_part, thinnest_element
 from jaxform.results.result import Result, drop_unused
 from jaxform.results.summary import explain
 from jaxform.results.tool_contact import formed_areas, wall_statistics
-from jaxform.tools.motion import Motion
+from jaxform.tools.mold import Motion
 
 Array = NDArray[np.float64]
 Part = tuple[Scene, Result]
@@ -118,7 +115,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     scale = wall_scale([before, after])
     for place, words, part in ((0.0, "before", before), (0.46, "after", after)):
         view = figure.add_axes((place, 0.46, 0.45, 0.47), projection="3d")
-        colors = views.draw(view, part_view(*part, scale))
+        colors = canvas.draw(view, part_view(*part, scale))
         figure.text(place + 0.225, 0.955, _part_words(words, part), ha="center", fontsize=13)
     bar = figure.add_axes((0.925, 0.52, 0.012, 0.34))
     walls = [_wall(restrict_to_part(result, scene)[0]) for scene, result in (before, after)]
@@ -150,7 +147,7 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
     figure, scale = canvas.new_figure(5.5 * len(parts), 5.5, scene.name), wall_scale(parts[-1:])
     for k, (shown, part) in enumerate(parts):
         view = figure.add_axes((0.95 * k / len(parts), 0.02, 0.95 / len(parts), 0.84), projection="3d")
-        colors = views.draw(view, part_view(shown, part, scale, edges=True))
+        colors = canvas.draw(view, part_view(shown, part, scale, edges=True))
         words = f"t = {1e3 * float(part.time):.4g} ms, {len(part.triangles)} elements"
         figure.text(0.95 * (k + 0.5) / len(parts), 0.88, words, ha="center", fontsize=12)
     bar = figure.add_axes((0.96, 0.25, 0.005, 0.45))

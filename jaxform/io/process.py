@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from jaxform.core.disk import atomic_path
 from jaxform.core.pytree import as_real
 from jaxform.io.canvas import ProcessHistory
+from jaxform.io.plausibility import offsets_of
 from jaxform.io.surfaces import tool_colors
-from jaxform.io.tool_checks import offsets_of
 from jaxform.loads import TwoSidedLoad
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result

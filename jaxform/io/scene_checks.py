@@ -10,18 +10,16 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import format_extent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
+from jaxform.io.plausibility import heights_above, warn_of_land, warn_of_motion, warn_of_tools, warn_of_units
 from jaxform.io.surfaces import mirror_points
-from jaxform.io.tool_checks import heights_above, warn_of_land, warn_of_motion, warn_of_tools
-from jaxform.io.unit_checks import warn_of_units
 from jaxform.mechanics.membrane import equibiaxial_energy
-from jaxform.mesh import masks, raster, topology
+from jaxform.mesh import outlines, raster, topology
 from jaxform.model.mesh_connectivity import warn_of_connectivity
 from jaxform.model.scene import Scene
 from jaxform.results import sections
-from jaxform.tools.cells import cells_behind
 from jaxform.tools.mold import Mold
 from jaxform.tools.opening import rotation_to_z
-from jaxform.tools.patches import find_side_holes
+from jaxform.tools.patches import cells_behind, find_side_holes
 from jaxform.tools.ribs import Ribs, slender_feature
 
 Array = NDArray[np.float64]
@@ -183,7 +181,7 @@ def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, t
         behind[covered[away < -near]] = True
     whole = max(1, int(seen.sum()))
     open_there = np.pad((seen & ~before).reshape(height, width), 1)
-    away = masks.distance(open_there)[1:-1, 1:-1].ravel()
+    away = outlines.distance(open_there)[1:-1, 1:-1].ravel()
     widest = int(np.argmax(away))
     row, column = divmod(widest, width)
     middle = (low + (np.array([column, row]) + 0.5) * pixel) @ across

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
-from jaxform.mesh import masks, meshes
+from jaxform.mesh import meshes, outlines
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import buck, patches, scans
+from jaxform.tools import buck, covers, patches
 from jaxform.tools.buck import Buck
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
-from jaxform.tools.halves import Plane
+from jaxform.tools.kinds import Plane
 from jaxform.tools.opening import Opening
 
 Array = NDArray[np.float64]
@@ -57,9 +57,9 @@ class Drape:
         """Half the width of the body's narrowest part [m]."""
         view, found = self.buck.view, []
         for share in _SHARES:
-            part, count = masks.label_parts(view.height <= self.buck.top + share * self.buck.height)
+            part, count = outlines.label_parts(view.height <= self.buck.top + share * self.buck.height)
             half, area = np.zeros(count + 1), np.bincount(part.ravel(), minlength=count + 1)
-            np.maximum.at(half, part, masks.distance(part > 0))
+            np.maximum.at(half, part, outlines.distance(part > 0))
             order = 1 + np.argsort(half[1:])
             counted = np.cumsum(area[order]) > _SPECK * area[1:].sum()
             found.append(float(half[order][counted].min()))
@@ -94,9 +94,9 @@ def drape(mold: Mesh, direction: Array | None) -> Drape:
     lids = patches.close_necks(mold)
     stands = buck.find_buck(meshes.merge([mold, *lids]), direction)
     planform, margin, platen = buck.fit_sheet(stands)
-    rims = scans.find_rims(mold)
+    rims = covers.find_rims(mold)
     turn = stands.view.turn
-    walls, fans = ([], []) if rims is None else scans.close_rims(mold, rims, turn, stands.base)
+    walls, fans = ([], []) if rims is None else covers.close_rims(mold, rims, turn, stands.base)
     closing = [*lids, *(Mesh(part.positions @ turn, part.triangles) for part in [*walls, *fans])]
     deepest = buck.deepest_undercut(stands, meshes.merge([mold, *closing]))
     parts = [*([] if platen is None else [platen]), *closing]

@@ -16,7 +16,7 @@ from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
-from jaxform.tools.halves import Plane
+from jaxform.tools.kinds import Plane
 from jaxform.tools.plugs import WIDTH
 
 COVERS, IMAGES, PLATEN, PLUG = "covers.stl", "images.stl", "platen.stl", "plug.stl"

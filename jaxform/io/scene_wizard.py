@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.io import scene_choices
 from jaxform.io.geometry import error_context
+from jaxform.io.plausibility import guess_units
 from jaxform.io.scene_choices import PROCESSES, Draft, Plug, clearance, round_digits
-from jaxform.io.unit_checks import guess_units
-from jaxform.mesh import masks, meshes, outlines
+from jaxform.mesh import meshes, outlines
 from jaxform.mesh.grids import triangle_side
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
-from jaxform.tools import covers, footprint, halves, kinds, molds, opening, patches, plugs, revolution
+from jaxform.tools import bottles, covers, footprint, kinds, molds, opening, patches, plugs
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform, planform_polygon
 from jaxform.tools.opening import Opening
@@ -85,15 +85,15 @@ def draft(
     return _draft_cavity(mold, rest, thickness, direction, plug, known)
 
 
-def _classify(mold: Mesh, drape: bool | None, direction: Array | None) -> tuple[bool, str, halves.Completion | None]:
+def _classify(mold: Mesh, drape: bool | None, direction: Array | None) -> tuple[bool, str, kinds.Completion | None]:
     """The kind of a mold as the user wants it or as it seems, see `kinds.classify`."""
     if drape is not None:
-        completion = None if drape or direction is not None else halves.find_completion(mold)
+        completion = None if drape or direction is not None else kinds.find_completion(mold)
         return drape, "", completion
     patches.refuse_bottles(mold)
     kinds.refuse_tubes(mold)
     is_male, doubt, completion = kinds.classify(mold)
-    if is_male and revolution.is_bottle(mold):
+    if is_male and bottles.is_bottle(mold):
         doubt = "a round body with a neck, as the inside of a bottle: --process stretch-blow blows it from a preform"
     return is_male, doubt, completion
 
@@ -229,9 +229,9 @@ def _pockets(found: Opening) -> tuple[float, float | None]:
     for share in () if found.male else (0.0, 0.5):
         level = found.level + (share + _LEVEL) * found.depth
         deep = found.cavity & ~(view.height <= level)
-        part, count = masks.label_parts(deep)
+        part, count = outlines.label_parts(deep)
         area, half, bottom = np.bincount(part.ravel()), np.zeros(count + 1), np.full(count + 1, level)
-        np.maximum.at(half, part, masks.distance(deep))
+        np.maximum.at(half, part, outlines.distance(deep))
         np.maximum.at(bottom, part, np.minimum(view.height, found.level + found.depth))
         smallest = 1 + np.argsort(half[1:])
         seen = (np.cumsum(area[smallest]) > _SPECK * deep.sum()) & (half[smallest] >= _RESOLVED)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.io.views import TO_EYE, DrawnSurface, View
+from jaxform.io.canvas import TO_EYE, DrawnSurface, View
 from jaxform.mesh import topology
 from jaxform.model.scene import Scene
 from jaxform.results import sections

@@ -23,7 +23,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
 
-from jaxform.core.promotion import with_standard_promotion
+from jaxform.core.compilation import with_standard_promotion
 from jaxform.core.pytree import pytree, static
 from jaxform.kernels.opaque_primitive import call_opaque, lower_without_axes, manual_axes, match_mesh_axes, type_like
 

@@ -1,8 +1,16 @@
 """Loadings of the sheet, one file each; `loading.py` says how another is added."""
 
 from jaxform.loads.gas import Gas, make_gas
-from jaxform.loads.history import Pressure, make_pressure
-from jaxform.loads.loading import Interval, Loading, LoadState, first_pressure, loading, next_pressure
+from jaxform.loads.loading import (
+    Interval,
+    Loading,
+    LoadState,
+    Pressure,
+    first_pressure,
+    loading,
+    make_pressure,
+    next_pressure,
+)
 from jaxform.loads.two_sided import TwoSidedLoad, list_gases, make_two_sided_load
 
 GasSupply, make_gas_supply = Gas, make_gas  # older names of the same, kept for scripts

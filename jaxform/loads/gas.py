@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import ranged_parameter
-from jaxform.core.pytree import as_real, static
+from jaxform.core.pytree import as_real, ranged_parameter, static
 from jaxform.core.ranges import RANGES, Range, as_numbers, check
 from jaxform.loads.loading import Interval, Loading, loading
 from jaxform.loads.orifice import mean_decay, orifice_flow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import parameter, ranged_parameter
+from jaxform.core.pytree import parameter, ranged_parameter
 from jaxform.core.ranges import RANGES
 from jaxform.materials.law import Law, Slope, law
 

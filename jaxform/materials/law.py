@@ -11,15 +11,16 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import (
+from jaxform.core.pytree import (
+    is_internal_class,
     parameter,
     parameter_ranges,
     ranged_parameter,
     register_part,
+    static,
     varying_parameter_names,
 )
-from jaxform.core.pytree import is_internal_class, static
-from jaxform.materials.shift import Shift
+from jaxform.materials.temperature import Shift
 from jaxform.materials.viscous import Modes
 
 Slope = jax.Array | None

@@ -12,7 +12,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import parameter, ranged_parameter
+from jaxform.core.pytree import parameter, ranged_parameter
 from jaxform.core.ranges import RANGES
 from jaxform.kernels.blocks import materialize
 from jaxform.kernels.elementary import exp2, exp2m1, log2, log2p1

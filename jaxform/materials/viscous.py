@@ -21,8 +21,7 @@ from typing import ClassVar, NamedTuple, Self, dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import parameter, ranged_parameter, register_part
-from jaxform.core.pytree import static
+from jaxform.core.pytree import parameter, ranged_parameter, register_part, static
 from jaxform.core.ranges import RANGES
 
 Symmetric = tuple[jax.Array, jax.Array, jax.Array]

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.kernels.blocks import materialize, over_blocks
-from jaxform.kernels.twice_differentiable import TwiceDifferentiable
+from jaxform.kernels.opaque_primitive import TwiceDifferentiable
 from jaxform.mechanics.constitutive import stress_and_change, weighted_stress
 from jaxform.mechanics.corners import (
     Load,

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError, InputWarning
-from jaxform.mesh import abaqus, facets, gmsh, legacy_vtk, nastran, ply
+from jaxform.mesh import facets, gmsh, legacy_vtk, ply, solver_decks
 from jaxform.mesh.facets import Faces
 from jaxform.mesh.meshes import REEXPORT
 
@@ -148,9 +148,9 @@ _READERS: dict[str, Callable[[bytes, str], Faces]] = {
     ".msh": gmsh.read_msh,
 }
 _FURTHER: dict[str, Callable[[bytes, str], Faces]] = {
-    ".inp": abaqus.read_inp,
-    ".bdf": nastran.read_bdf,
-    ".nas": nastran.read_bdf,
-    ".fem": nastran.read_bdf,
+    ".inp": solver_decks.read_inp,
+    ".bdf": solver_decks.read_bdf,
+    ".nas": solver_decks.read_bdf,
+    ".fem": solver_decks.read_bdf,
     ".mesh": _meshio_reader("medit"),
 }

@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from jaxform.core.errors import InputError, format_coordinate
 from jaxform.mesh import grids, meridian, meshes, outlines, planform, topology, volumes
 from jaxform.mesh.bisection import Snap
-from jaxform.mesh.grids import as_length, check_count, check_resolution, triangle_side
+from jaxform.mesh.grids import Profile, as_length, check_count, check_resolution, triangle_side
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.profiles import Profile
 
 # Surfaces of a user's own as sheets: what they must be, where they are held, and their symmetry planes.
 

@@ -7,8 +7,7 @@ from typing import ClassVar, NamedTuple, dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import parameter, ranged_parameter, register_part
-from jaxform.core.pytree import static
+from jaxform.core.pytree import parameter, ranged_parameter, register_part, static
 
 
 class Surroundings(NamedTuple):

@@ -13,10 +13,9 @@ import numpy as np
 from jax.core import Tracer
 from numpy.typing import ArrayLike
 
+from jaxform.core.compilation import with_standard_promotion
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import parameter_ranges
-from jaxform.core.promotion import with_standard_promotion
-from jaxform.core.pytree import as_real
+from jaxform.core.pytree import as_real, parameter_ranges
 from jaxform.core.ranges import BITS, DESIGNABLE, RANGES, WORDS, Range, as_numbers, check, declared_ranges
 from jaxform.loads import Loading
 from jaxform.materials import Law, Modes, Shift

@@ -25,8 +25,7 @@ from jaxform.mesh import volumes
 from jaxform.model.field import Field
 from jaxform.model.part import Part
 from jaxform.model.tables import BisectionHierarchy, Precomputed
-from jaxform.tools.mold import Mold
-from jaxform.tools.motion import Motion, ToolFrame
+from jaxform.tools.mold import Mold, Motion, ToolFrame
 from jaxform.tools.surface_walk import ContactSurface
 
 

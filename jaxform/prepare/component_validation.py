@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform.core.errors import InputError, warn_of
-from jaxform.core.parameters import is_registered, list_parameter_names, nodal_parameter_names, parameter_ranges
-from jaxform.core.pytree import as_real
+from jaxform.core.pytree import as_real, is_registered, list_parameter_names, nodal_parameter_names, parameter_ranges
 from jaxform.core.ranges import as_numbers, check, check_one
 from jaxform.loads import Interval, Loading, TwoSidedLoad, first_pressure, list_gases, next_pressure
 from jaxform.materials import Cooling, Law, Modes, Shift

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import jax
 import numpy as np
 
-from jaxform.contact.lists import PAIRS_PER_NODE
+from jaxform.contact.broad_phase import PAIRS_PER_NODE
+from jaxform.core.compilation import with_standard_promotion
 from jaxform.core.errors import InputError
-from jaxform.core.promotion import with_standard_promotion
 from jaxform.core.pytree import as_index, as_real, cast_to_precision, check_untraced
 from jaxform.core.store import PACKAGE, Store
 from jaxform.loads import Loading
@@ -23,19 +23,22 @@ from jaxform.model.part import Part, check_part
 from jaxform.model.scene import Parison, Refinement, Scene, Solver, sample_pressures
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Precomputed, ReferenceGeometry, Rim, SceneBox
 from jaxform.prepare import component_validation, initial_contact
-from jaxform.prepare.refinement_setup import bends, build_hierarchy, check_capacity, pack_forest, reserve_capacity
-from jaxform.prepare.window_budget import (
+from jaxform.prepare.planning import (
+    bends,
+    build_hierarchy,
+    check_capacity,
     expected_stretch,
     longest_window,
+    pack_forest,
     plan_windows,
+    reserve_capacity,
     spare_windows,
     stiffens_steeply,
     tool_steps,
 )
 from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.packing import make_assembly, make_paired_assembly
-from jaxform.tools.mold import Mold
-from jaxform.tools.motion import Motion
+from jaxform.tools.mold import Mold, Motion
 from jaxform.tools.search import SearchGrid, build_grid
 from jaxform.tools.surface_walk import ContactSurface, connected_parts, signed_neighbors
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.pytree import abbreviate, as_real, marked_field_names, pytree, row_count
 from jaxform.mechanics import membrane
-from jaxform.mechanics.nodes import FieldRule, Nodes
+from jaxform.mechanics.elements import FieldRule, Nodes
 from jaxform.model.scene import Parison, Scene, make_parison
 from jaxform.results.filling import Filling
 from jaxform.results.recovery import nodal_ratio

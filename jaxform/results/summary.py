@@ -11,16 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from jaxform.core.compilation import with_standard_promotion
 from jaxform.core.errors import InputError, format_place
-from jaxform.core.promotion import with_standard_promotion
 from jaxform.loads import Pressure
 from jaxform.materials.tension_field import relax_slack_strain
 from jaxform.mesh.topology import components
 from jaxform.model.replacement import describe_out_of_range
 from jaxform.model.scene import Scene
 from jaxform.results.filling import measure_filling, mold_offset, warnings_of_filling
-from jaxform.results.part import restrict_to_part
-from jaxform.results.part_warnings import thinnest_element, warnings_of_part
+from jaxform.results.part import restrict_to_part, thinnest_element, warnings_of_part
 from jaxform.results.recovery import thinnest_recovered
 from jaxform.results.result import Energy, Result, Seconds, warnings_of_no_work
 from jaxform.results.sections import symmetry_planes

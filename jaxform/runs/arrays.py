@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxform.core.parameters import nodal_parameter_names
-from jaxform.core.pytree import as_index
+from jaxform.core.pytree import as_index, nodal_parameter_names
 from jaxform.kernels import capacities
 from jaxform.loads import Loading, Pressure
 from jaxform.materials import Law
@@ -16,8 +15,7 @@ from jaxform.model.field import Field
 from jaxform.model.scene import Parison, Refinement
 from jaxform.model.tables import Assembly, Bend, BisectionHierarchy, ElementPairs, ReferenceGeometry, Rim
 from jaxform.sheet.discretization import NEVER, node_room
-from jaxform.tools.mold import Mold
-from jaxform.tools.motion import FAR_LATER, Motion
+from jaxform.tools.mold import FAR_LATER, Mold, Motion
 from jaxform.tools.search import CLASSES, SearchGrid
 
 

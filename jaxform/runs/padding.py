@@ -16,8 +16,8 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from jaxform.core.compilation import device_context, with_standard_promotion
 from jaxform.core.errors import InputError
-from jaxform.core.promotion import device_context, with_standard_promotion
 from jaxform.core.ranges import MOST_STEPS
 from jaxform.kernels import capacities
 from jaxform.model.replacement import check_scene

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxform.adapt.refinement import drop_sides, refine
 from jaxform.adjoint.strategies import Adjoint, choose_adjoint
-from jaxform.core.cores import usable_cores
+from jaxform.core.compilation import device_context, with_standard_promotion
 from jaxform.core.errors import InputError
-from jaxform.core.promotion import device_context, with_standard_promotion
+from jaxform.core.installation import usable_cores
 from jaxform.core.pytree import cast_to_precision
 from jaxform.core.ranges import as_numbers
 from jaxform.dynamics.window_state import initial_state
@@ -30,7 +30,7 @@ from jaxform.mesh.volumes import areas
 from jaxform.model.replacement import check_scene, number_at, replace, sanitize_parameters
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, make_result
-from jaxform.runs.loop import IN_MEMORY, finalize_state, latest_decisions, skip_if_full, whole_run
+from jaxform.runs.host import IN_MEMORY, finalize_state, latest_decisions, skip_if_full, whole_run
 from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
 from jaxform.sheet.self_contact import stick_folds_of

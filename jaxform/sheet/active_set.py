@@ -12,14 +12,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.lists import CandidateLists
+from jaxform.contact.broad_phase import CandidateLists
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import BLOCK, Halves, lax_cond_once, over_blocks, split_halves, total
 from jaxform.materials import Law, Modes
 from jaxform.materials.viscous import StrainState
 from jaxform.mechanics.constitutive import Response, ViscousMemory, split_modes, strain_state
-from jaxform.mechanics.elements import Corners, element_metrics
-from jaxform.mechanics.nodes import FieldRule
+from jaxform.mechanics.elements import Corners, FieldRule, element_metrics
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Counts, ReferenceGeometry
 from jaxform.sheet.discretization import Discretization, RefinedMesh, element_law

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxform.core.pytree import as_real, pytree
 from jaxform.materials import Cooling, Law, Modes, Touching
 from jaxform.mechanics import membrane
-from jaxform.mechanics.nodes import Nodes
+from jaxform.mechanics.elements import Nodes
 from jaxform.model.scene import Scene
 
 

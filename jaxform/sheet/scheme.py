@@ -24,7 +24,7 @@ from jaxform.sheet.active_set import ActiveSet, active_set_of
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.energy_balance import enclosed_volume, last_work, present_pressure
 from jaxform.sheet.state import PackedState, State
-from jaxform.tools.motion import tool_velocity
+from jaxform.tools.mold import tool_velocity
 
 WindowTiming = tuple[jax.Array, jax.Array, jax.Array]
 """A window's begin, the length of the step before it, and that of its own steps [s]."""

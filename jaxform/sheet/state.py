@@ -13,7 +13,7 @@ from jaxform.contact.sliding import on_surface
 from jaxform.core.pytree import as_real, marked_field_names, pytree
 from jaxform.loads import LoadState
 from jaxform.mechanics import membrane
-from jaxform.mechanics.nodes import Nodes
+from jaxform.mechanics.elements import Nodes
 from jaxform.model.scene import Scene
 from jaxform.sheet.discretization import RefinedMesh
 from jaxform.sheet.heat import ThermalState

@@ -7,22 +7,26 @@ import csv
 import dataclasses
 import hashlib
 import io
+import itertools
 import json
 import re
 import tomllib
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxform.core import disk
-from jaxform.core.errors import InputError, truncate_text
+from jaxform.core.errors import InputError, truncate_text, warn_of
 from jaxform.core.ranges import RANGES
 from jaxform.io import catalog, files, scene_rewriting, schema
 from jaxform.io.files import SceneDocument
-from jaxform.io.schema.sweep import MOST_DESIGNS
+from jaxform.io.schema import SweepTable, SweepVariableTable
+from jaxform.io.schema.study import MOST_DESIGNS
 from jaxform.io.validation import NO_KEY, validate
-from jaxform.sweeps.sampling import sample
 
 SCENE = "scene"
 """Column of a table that names the scene of each row."""
@@ -357,3 +361,79 @@ def _description(table: type, key: str) -> str:
     texts = [one.__doc__ or "" for one in table.__mro__]
     joined = [re.sub(r"\n {12,}(?=\S)", " ", text) for text in texts]
     return next((text for text in joined if re.search(rf"^ +{key}: ", text, re.MULTILINE)), "")
+
+
+# Designs of experiments: full factorials, Latin hypercubes and Sobol sequences over the variables of a sweep.
+
+MOST_SOBOL = 21_201
+"""Variables of a Sobol sequence for which SciPy has direction numbers."""
+
+
+def sample(table: SweepTable) -> list[dict[str, Any]]:
+    """The designs of a sweep's table: values by path, in the units of the scene file.
+
+    Points of a Latin hypercube and of a Sobol sequence (scrambled) are those of `scipy.stats.qmc`.
+
+    Raises:
+        InputError: There are too many designs.
+
+    Warns:
+        InputWarning: A Sobol sequence has a number of designs that is no power of two.
+    """
+    paths = [variable.path for variable in table.variable]
+    if table.method == "factorial":
+        levels = [_levels(variable) for variable in table.variable]
+        count = int(np.prod([float(len(values)) for values in levels]))
+        if count > MOST_DESIGNS:
+            remedy = 'take fewer levels or variables, or method = "sobol"'
+            raise InputError(f"makes {count} designs, more than {MOST_DESIGNS}", remedy, "sweep.method", table.method)
+        return [dict(zip(paths, row, strict=True)) for row in itertools.product(*levels)]
+    columns = [
+        [_place(variable, float(share)) for share in shares]
+        for variable, shares in zip(table.variable, _shares(table).T, strict=True)
+    ]
+    return [dict(zip(paths, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def _shares(table: SweepTable) -> np.ndarray:
+    """Points in the unit cube (n_design, n_variable)."""
+    from scipy.stats import qmc  # takes half a second to import
+
+    count, dimension = table.designs or 0, len(table.variable)
+    if table.method == "latin-hypercube":
+        return qmc.LatinHypercube(dimension, rng=table.seed).random(count)
+    if count & (count - 1):
+        lower = 1 << (count.bit_length() - 1)
+        words = f"is no power of two: the points of a Sobol sequence are balanced for {lower} or {2 * lower}"
+        warn_of(words, "choose one of these", key="sweep.designs", value=count)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # SciPy's own words for the same
+        return qmc.Sobol(dimension, rng=table.seed).random(count)
+
+
+def _levels(variable: SweepVariableTable) -> Sequence[Any]:
+    """The values of a variable in a full factorial."""
+    if variable.values is not None:
+        return variable.values
+    shares = np.linspace(0.0, 1.0, variable.levels)
+    return list(dict.fromkeys(_place(variable, float(share)) for share in shares))
+
+
+def _place(variable: SweepVariableTable, share: float) -> Any:
+    """The value at a share between 0 and 1 of a variable's range."""
+    if variable.values is not None:
+        return variable.values[min(int(share * len(variable.values)), len(variable.values) - 1)]
+    assert variable.bounds is not None
+    low, high = variable.bounds
+    if variable.integer:
+        # Each whole number has the same share, the two at the ends included.
+        least, most = int(np.ceil(low)), int(np.floor(high))
+        if variable.scale == "linear":
+            return min(least + int(share * (most - least + 1)), most)
+    if share in (0.0, 1.0):
+        value = (low, high)[int(share)]  # the logarithm's inverse misses them by rounding
+    elif variable.scale == "log":
+        value = float(low * (high / low) ** share)
+    else:
+        value = float(low + share * (high - low))
+    return round(value) if variable.integer else value

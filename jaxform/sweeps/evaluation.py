@@ -35,9 +35,8 @@ from jaxform.io.report import write_report
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 from jaxform.results.summary import explain, summarize
-from jaxform.runs.host import run
-from jaxform.runs.loop import IN_MEMORY, compile_for
-from jaxform.sweeps.engine import Outcome
+from jaxform.runs.host import IN_MEMORY, compile_for, run
+from jaxform.sweeps.workers import Outcome
 
 _MISS = "/jax/compilation_cache/cache_misses"
 

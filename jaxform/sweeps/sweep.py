@@ -14,15 +14,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxform.core.cores import usable_cores
 from jaxform.core.errors import InputError
+from jaxform.core.installation import usable_cores
 from jaxform.model.scene import Scene
 from jaxform.sweeps.designs import SCENE, DesignRow, Rows, make_designs, parse_path
-from jaxform.sweeps.engine import Outcome, evaluate
 from jaxform.sweeps.evaluation import call_function, measure, pack_scene, worker_setting
-from jaxform.sweeps.folder import head
-from jaxform.sweeps.records import MEASURES, Records, number
-from jaxform.sweeps.workers import DaskWorkers, LocalWorkers
+from jaxform.sweeps.records import MEASURES, Records, head, number
+from jaxform.sweeps.workers import DaskWorkers, LocalWorkers, Outcome, evaluate
 
 _DESIGNS = "designs"
 

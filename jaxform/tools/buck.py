@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import masks, meshes, outlines, topology
+from jaxform.mesh import meshes, outlines, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
-from jaxform.tools import heights, molds, opening, scans
+from jaxform.tools import covers, molds, opening
 from jaxform.tools.footprint import Planform, planform_polygon
-from jaxform.tools.heights import Heights, ViewedSurface
+from jaxform.tools.opening import Heights, ViewedSurface
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -122,11 +122,11 @@ def find_buck(mold: Mesh, direction: Array | None = None) -> Buck:
     Raises:
         InputError: Nothing stands above a base.
     """
-    surface, size = heights.make_viewed_surface(mold.positions, mold.triangles), meshes.size(mold.positions)
+    surface, size = opening.make_viewed_surface(mold.positions, mold.triangles), meshes.size(mold.positions)
     stands = [_stand(surface, one, size) for one in ([direction] if direction is not None else directions(mold))]
-    chosen, is_open = _choose_stand(stands), scans.find_rims(mold)
+    chosen, is_open = _choose_stand(stands), covers.find_rims(mold)
     if direction is None and chosen.share < _STANDS and is_open is not None:
-        chosen = _stand(surface, scans.outward_direction(mold, is_open), size)
+        chosen = _stand(surface, covers.outward_direction(mold, is_open), size)
     others = [] if direction is not None else _other_directions(stands, chosen)
     return _place_mold(surface, chosen, size, others, is_open is not None)
 
@@ -142,10 +142,10 @@ def directions(mold: Mesh) -> list[Array]:
 
 
 def _stand(surface: ViewedSurface, direction: Array, size: float) -> _Stand:
-    below = heights.view_heights(surface, opening.rotation_to_z(direction), _COARSE)
+    below = opening.view_heights(surface, opening.rotation_to_z(direction), _COARSE)
     lowest, seen = float(below.height.min()), float(below.inside.sum())
     foot, rough = (
-        float(masks.fill_holes(below.height <= lowest + tolerance * size).sum()) / seen
+        float(outlines.fill_holes(below.height <= lowest + tolerance * size).sum()) / seen
         for tolerance in (opening.FLAT, _ROUGH)
     )
     share = foot if foot >= _STANDS else rough
@@ -177,7 +177,7 @@ def _other_directions(stands: list[_Stand], chosen: _Stand) -> list[str]:
 
 def _place_mold(surface: ViewedSurface, stand: _Stand, size: float, others: list[str], is_open: bool) -> Buck:
     """The mold in the pose of a stand; an open surface ends above its base, whatever its rim is like."""
-    view = heights.view_heights(surface, opening.rotation_to_z(-stand.direction), opening.FINE)
+    view = opening.view_heights(surface, opening.rotation_to_z(-stand.direction), opening.FINE)
     tolerance = opening.FLAT * size
     level, share = view.edge_level(tolerance)
     ground = np.abs(view.height - level) <= tolerance
@@ -224,24 +224,24 @@ def deepest_undercut(buck: Buck, mold: Mesh) -> tuple[float, Array] | None:
     """
     turn = buck.view.turn
     corners = (mold.positions @ turn.T)[mold.triangles]
-    view = heights.view_heights(heights.make_viewed_surface(mold.positions, mold.triangles), turn, _PIXELS)
+    view = opening.view_heights(opening.make_viewed_surface(mold.positions, mold.triangles), turn, _PIXELS)
     found = [_undercut_at(level, corners, view) for level in np.linspace(buck.top, buck.base, _LEVELS + 2)[1:-1]]
     depth, place = max(found, key=lambda one: one[0])
     return None if depth < _SEEN * view.pixel else (depth, place @ turn)
 
 
-def _undercut_at(level: float, corners: Array, view: heights.Heights) -> tuple[float, Array]:
+def _undercut_at(level: float, corners: Array, view: opening.Heights) -> tuple[float, Array]:
     """The depth [m] of the deepest undercut at a height [m], and its place (3,) [m] after turning."""
     wall = _section(level, corners, view)
-    part, _ = masks.label_parts(~wall)
+    part, _ = outlines.label_parts(~wall)
     shadow = view.height < level - 0.5 * view.pixel
-    depth = np.where((part == part[0, 0]) & ~wall, masks.distance(shadow), 0.0)
+    depth = np.where((part == part[0, 0]) & ~wall, outlines.distance(shadow), 0.0)
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
     place = view.low + view.pixel * (np.array([column, row]) + 0.5)
     return float(depth[row, column]) * view.pixel, np.append(place, level)
 
 
-def _section(level: float, corners: Array, view: heights.Heights) -> Mask:
+def _section(level: float, corners: Array, view: opening.Heights) -> Mask:
     """The pixels (ny, nx) through which the surface passes at a height [m]."""
     # A level that meets corners exactly is moved off them.
     rise = corners[..., 2] - level
@@ -312,7 +312,7 @@ def _platen_planform(planform: Planform, share: float, buck: Buck) -> Planform:
 
 
 def _around(buck: Buck) -> Circle | OrientedRectangle:
-    corners = outlines.hull(buck.view.places(masks.fill_holes(buck.body)))
+    corners = outlines.hull(buck.view.places(outlines.fill_holes(buck.body)))
     circle = outlines.smallest_circle(corners)
     if abs(outlines.area(corners)) >= _ROUND * np.pi * circle.radius**2:
         return circle

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import masks, meshes, outlines, shapes, topology
+from jaxform.mesh import meshes, outlines, shapes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
 from jaxform.mesh.shapes import Sheet
 from jaxform.tools import opening
-from jaxform.tools.heights import Heights
-from jaxform.tools.opening import Opening
+from jaxform.tools.opening import Heights, Opening
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -61,7 +60,7 @@ def fit_planform(found: Opening, vertices: Array, triangles: Integers) -> tuple[
     """
     points, flange = _edge_points(found, vertices), _has_flange(found)
     width = float(np.ptp(points, axis=0).min())
-    full = masks.close_gaps(found.cavity, _BRIDGE * width / found.view.pixel).sum() * found.view.pixel**2
+    full = outlines.close_gaps(found.cavity, _BRIDGE * width / found.view.pixel).sum() * found.view.pixel**2
     corners, view = outlines.hull(points), found.view
     margins = _margins(width, view.pixel) if flange else []
     for fit in (_disc, _rectangle):
@@ -87,7 +86,7 @@ def outline(found: Opening, vertices: Array, triangles: Integers) -> Array:
 
 def _has_flange(found: Opening) -> bool:
     """True when the mold reaches beyond the opening all round."""
-    return not found.male and bool(masks.distance(found.view.inside)[found.cavity].min() > _BARE)
+    return not found.male and bool(outlines.distance(found.view.inside)[found.cavity].min() > _BARE)
 
 
 def _edge_points(found: Opening, vertices: Array) -> Array:
@@ -97,7 +96,7 @@ def _edge_points(found: Opening, vertices: Array) -> Array:
     # Where the mesh has corners on the opening's edge, they say better than pixels where it is.
     level = turned[np.abs(turned[:, 2] - found.base) <= 2 * view.pixel, :2]
     column, row = np.clip((level - view.low) / view.pixel, 0, np.array(view.inside.shape[::-1]) - 1).astype(int).T
-    exact = level[masks.distance(~found.cavity)[row, column] <= 2]
+    exact = level[outlines.distance(~found.cavity)[row, column] <= 2]
     points = view.places(found.cavity)
     if len(exact) >= 3 and _hull_area(exact) > 0.97 * _hull_area(points):
         points = exact
@@ -155,10 +154,10 @@ def _outline(points: Array, found: Opening, vertices: Array, triangles: Integers
     if rim is not None:
         return rim
     margin = max(_MARGIN * float(np.ptp(points, axis=0).min()) / view.pixel, 2.0)
-    values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~found.cavity))
+    values = np.minimum(outlines.distance(view.inside) - 1.0, margin + 0.5 - outlines.distance(~found.cavity))
     if not _is_connected(values > 0):
         hull = view.inside_polygon(outlines.hull(view.places(found.cavity)))
-        values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~hull))
+        values = np.minimum(outlines.distance(view.inside) - 1.0, margin + 0.5 - outlines.distance(~hull))
     polygon = outlines.contour(values, view.low, view.pixel)
     return _simplify(polygon, _SIMPLER * view.pixel)
 
@@ -169,7 +168,7 @@ def _simplify(polygon: Array, tolerance: float) -> Array:
 
 
 def _is_connected(mask: Mask) -> bool:
-    return masks.label_parts(mask)[1] == 1
+    return outlines.label_parts(mask)[1] == 1
 
 
 def _rim(found: Opening, vertices: Array, triangles: Integers) -> Array | None:

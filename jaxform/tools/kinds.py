@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import masks, meshes
+from jaxform.mesh import meshes, outlines, topology
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import buck, halves, heights, opening, scans
+from jaxform.tools import buck, covers, footprint, opening
 from jaxform.tools.buck import Buck
 from jaxform.tools.opening import SideView
 
@@ -23,7 +25,7 @@ _BOTTOM = 0.1  # of the visible area, that the flat bottom of a cup is at least
 _HANGS = -0.9  # of a direction's z, below which what bulges to there hangs
 
 
-def classify(mold: Mesh) -> tuple[bool, str, halves.Completion | None]:
+def classify(mold: Mesh) -> tuple[bool, str, Completion | None]:
     """The kind of a welded mold.
 
     Returns:
@@ -31,11 +33,11 @@ def classify(mold: Mesh) -> tuple[bool, str, halves.Completion | None]:
         rest of a cavity that is cut in a half or a quarter, with the planes.
     """
     size = meshes.size(mold.positions)
-    hollow, raised, _ = opening.opening_sides(heights.make_viewed_surface(mold.positions, mold.triangles), size)
-    rims = scans.find_rims(mold)
+    hollow, raised, _ = opening.opening_sides(opening.make_viewed_surface(mold.positions, mold.triangles), size)
+    rims = covers.find_rims(mold)
     if rims is None:
         return *_classify_solid(mold, hollow, raised, size), None
-    completion = None if _has_rim(hollow, size) else halves.find_completion(mold)
+    completion = None if _has_rim(hollow, size) else find_completion(mold)
     if completion is not None:
         return False, "", completion
     return *_classify_shell(mold, rims, hollow, size), None
@@ -67,23 +69,23 @@ def _volume(mold: Mesh) -> float:
 
 def _held_volume(mold: Mesh) -> float:
     """The volume of water [m^3] that a mold holds on the side on which it holds most."""
-    surface = heights.make_viewed_surface(mold.positions, mold.triangles)
-    views = (heights.view_heights(surface, opening.rotation_to_z(-side), _PIXELS) for side in buck.directions(mold))
+    surface = opening.make_viewed_surface(mold.positions, mold.triangles)
+    views = (opening.view_heights(surface, opening.rotation_to_z(-side), _PIXELS) for side in buck.directions(mold))
     return max(_held_volume_above(view) for view in views)
 
 
-def _held_volume_above(view: heights.Heights) -> float:
+def _held_volume_above(view: opening.Heights) -> float:
     """The volume of water [m^3] held on the side that is viewed: what is surrounded at each height."""
     high, low = float(view.height.min()), float(view.height[np.isfinite(view.height)].max())
     levels = np.linspace(high, low, _LEVELS + 1)[1:]
     above = [view.height <= level for level in levels]
-    pixels = sum(int((masks.fill_holes(mask) & ~mask).sum()) for mask in above)
+    pixels = sum(int((outlines.fill_holes(mask) & ~mask).sum()) for mask in above)
     return pixels * view.pixel**2 * (low - high) / _LEVELS
 
 
 def _classify_shell(mold: Mesh, rims: list[Integers], hollow: SideView, size: float) -> tuple[bool, str]:
-    direction = scans.outward_direction(mold, rims)
-    outward = scans.faces_outward(mold, direction)
+    direction = covers.outward_direction(mold, rims)
+    outward = covers.faces_outward(mold, direction)
     if not _has_rim(hollow, size):
         # Without a rim at one height it is a scan, of the inside only where it faces inwards.
         inside = outward is False and hollow.share >= opening.LEAST_RIM
@@ -111,8 +113,8 @@ def _is_platen(stands: Buck) -> bool:
     lower = np.isfinite(view.height) & (view.height > stands.base + 2 * opening.FLAT * stands.height)
     if lower.sum() > _LOWER * view.inside.sum():
         return False
-    ground, body = view.inside & ~stands.body, masks.fill_holes(stands.body)
-    reach = masks.distance(view.inside)[stands.body].min() * view.pixel
+    ground, body = view.inside & ~stands.body, outlines.fill_holes(stands.body)
+    reach = outlines.distance(view.inside)[stands.body].min() * view.pixel
     return bool(ground.sum() >= _PLATEN * body.sum() and reach >= _WIDE * stands.height)
 
 
@@ -130,13 +132,13 @@ def widest_tube(mold: Mesh) -> tuple[float, float, Array] | None:
     Returns:
         The width of the opening that one sees through [m], and length [m] and unit vector (3,) along it.
     """
-    surface = heights.make_viewed_surface(mold.positions, mold.triangles)
+    surface = opening.make_viewed_surface(mold.positions, mold.triangles)
     used = mold.positions[np.unique(mold.triangles)]
     found = []
     for direction in _directions(mold):
-        view = heights.view_heights(surface, opening.rotation_to_z(direction), _TUBES_PIXELS)
+        view = opening.view_heights(surface, opening.rotation_to_z(direction), _TUBES_PIXELS)
         through = view.inside & ~np.isfinite(view.height)
-        width, length = 2 * view.pixel * float(masks.distance(through).max()), float(np.ptp(used @ direction))
+        width, length = 2 * view.pixel * float(outlines.distance(through).max()), float(np.ptp(used @ direction))
         if through.sum() >= _SHARE * view.inside.sum() and length >= _DEEP * width:
             found.append((width, length, direction))
     return max(found, key=lambda tube: tube[0], default=None)
@@ -163,3 +165,99 @@ def _directions(mold: Mesh) -> list[Array]:
         if max(abs(float(normal @ other)) for other in chosen) < _ALONG:
             chosen.append(normal)
     return chosen
+
+
+# Molds of which the file holds a half or a quarter: the planes that they are cut in, and the rest. On the host.
+
+_CUT = 0.1  # of the length of open rims, what lies in a plane in which the mold is cut
+
+
+Plane = tuple[int, float]
+"""A plane across an axis, 0 to 2 for x to z, at a place [m] along it."""
+
+
+def _mirror(mesh: Mesh, plane: Plane) -> Mesh:
+    """The mesh mirrored in a plane."""
+    axis, level = plane
+    positions = mesh.positions.copy()
+    positions[:, axis] = 2 * level - positions[:, axis]
+    return Mesh(positions, mesh.triangles[:, ::-1])
+
+
+Completion = tuple[Mesh, list[Plane]]
+"""The rest of a mold that is cut in a half or a quarter, and the planes in which it is cut."""
+
+
+def _is_closed_by(mold: Mesh) -> bool:
+    """True when the open edges of a mold are the rim of its opening: else its cut is taken for one."""
+    edges, _ = topology.open_rims(mold.triangles, len(mold.positions))
+    if not len(edges):
+        return True
+    found, size = opening.find_opening(mold.positions, mold.triangles), meshes.size(mold.positions)
+    ends = mold.positions[edges]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    height = (ends @ found.view.turn[2]).mean(1)
+    return bool(length[np.abs(height - found.base) <= opening.FLAT * size].sum() >= opening.RIM * length.sum())
+
+
+def _length(edges: NDArray[np.floating]) -> float:
+    """Total length [m] of edges (n, 2, k) [m]."""
+    return float(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum())
+
+
+class _Lines:
+    """The lines on which the surface of a mold ends, and those on which it bends sharply."""
+
+    def __init__(self, mold: Mesh) -> None:
+        self._open = mold.positions[topology.boundary_edges(mold.triangles)]
+        self._sharp = topology.feature_edges(mold.positions, mold.triangles, rims=False)
+        self._tolerance = opening.FLAT * meshes.size(mold.positions)
+
+    def allow_plane(self, plane: Plane) -> bool:
+        """True when the mold may be cut in a plane: it is open there, or has an edge inside of its outline there.
+
+        Few planes meet this, and a test of one takes views of a mold twice as large from all sides.
+        """
+        if len(self._open):
+            return _length(self._lines_in_plane(plane, self._open)) >= _CUT * _length(self._open)
+        edges = self._lines_in_plane(plane, self._sharp)
+        if not len(edges):
+            return False
+        low, high = edges.min((0, 1)) + self._tolerance, edges.max((0, 1)) - self._tolerance
+        middles = edges.mean(1)
+        return bool(((middles > low) & (middles < high)).all(1).any())
+
+    def _lines_in_plane(self, plane: Plane, edges: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Those of edges (n, 2, 3) [m] that are in the plane (k, 2, 2), without the coordinate across it."""
+        axis, level = plane
+        there = (np.abs(edges[..., axis] - level) <= self._tolerance).all(1)
+        return np.delete(edges[there], axis, axis=2)
+
+
+def find_completion(mold: Mesh) -> Completion | None:
+    """The rest of an open mold that has no rim by itself, but one together with its images; None if there is none.
+
+    A closed solid is whole as it is.
+
+    Args:
+        mold: Welded; its box touches the planes [m].
+
+    Returns:
+        The rest, and the planes in which the mold is cut.
+    """
+    if topology.is_closed(mold.triangles) or opening.is_rimmed(mold.positions, mold.triangles):
+        return None
+    used = mold.positions[np.unique(mold.triangles)]
+    lines = _Lines(mold)
+    sides = [(axis, float(end[axis])) for end in (used.min(0), used.max(0)) for axis in range(3)]
+    sides = [side for side in sides if lines.allow_plane(side)]
+    pairs = [pair for pair in itertools.combinations(sides, 2) if pair[0][0] != pair[1][0]]
+    for planes in [*((side,) for side in sides), *pairs]:
+        images: list[Mesh] = []
+        for plane in planes:
+            images += [_mirror(part, plane) for part in [mold, *images]]
+        whole = meshes.merge([mold, *images])
+        whole = footprint.weld_mold(whole.positions, whole.triangles)
+        if opening.is_rimmed(whole.positions, whole.triangles) and _is_closed_by(whole):
+            return meshes.merge(images), list(planes)
+    return None

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real, pytree, static
-from jaxform.core.ranges import check_one
+from jaxform.core.ranges import as_numbers, check, check_one
+from jaxform.mechanics.membrane import Vector
 from jaxform.mesh import meshes
 from jaxform.tools.contact_law import ContactLaw, Stick
-from jaxform.tools.motion import Motion
 
 
 @pytree
@@ -104,3 +106,145 @@ def make_mold(
             check_one(f"mold.{key}", value)
     numbers = {key: None if value is None else as_real(value) for key, value in warmth.items()}
     return Mold(as_real(vertices), as_index(triangles[~bad]), dropped + int(bad.sum()), motion, law, name, **numbers)
+
+
+# Motion of a tool, and its frame: contact is computed there, so that a tool at rest costs nothing.
+
+FASTEST = 3.0  # times the mean speed between two knots, at most: a cubic is no steeper
+FAR_LATER = 1e6
+"""Times as late as the last knot, or as many seconds: where the knots of the padding are."""
+_SLACK = 16  # roundings of a time
+
+
+@pytree
+class Motion:
+    """Displacement of a tool along a straight line; it rests before its first and after its last knot.
+
+    Between knots it follows monotone cubics, at rest where the direction changes (F. N. Fritsch,
+    J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984).
+
+    Attributes:
+        direction: Direction of the displacement (3,), a unit vector.
+        time: Knots (n_knot,) [s], increasing.
+        displacement: Displacements at the knots (n_knot,) [m]; 0 at the first.
+    """
+
+    direction: jax.Array
+    time: jax.Array
+    displacement: jax.Array
+
+    def offset(self, time: jax.Array) -> jax.Array:
+        """Displacement (3,) [m] of the tool from its start, at a time [s]."""
+        width = jnp.diff(self.time)
+        rise = jnp.diff(self.displacement) / width
+        one, other = rise[:-1], rise[1:]
+        turns = one * other <= 0.0
+        slope = jnp.where(turns, 0.0, 2.0 * one * other / jnp.where(turns, 1.0, one + other))
+        slope = jnp.pad(slope, 1)
+        k = jnp.clip(jnp.sum(self.time <= time) - 1, 0, self.time.size - 2)
+        s = jnp.clip((time - self.time[k]) / width[k], 0.0, 1.0)
+        begin, end = self.displacement[k], self.displacement[k + 1]
+        far = begin - self.displacement[0] + s * s * (3.0 - 2.0 * s) * (end - begin)
+        far += width[k] * s * (1.0 - s) * ((1.0 - s) * slope[k] - s * slope[k + 1])
+        return far * self.direction
+
+    def highest_speed(self) -> jax.Array:
+        """A bound on its speed [m/s]: between two knots a cubic is at most three times as steep as their line."""
+        return FASTEST * jnp.max(jnp.abs(jnp.diff(self.displacement) / jnp.diff(self.time)))
+
+    def mean_speeds(self) -> np.ndarray:
+        """Mean speeds between knots (n_knot - 1,) [m/s]; on the host."""
+        return np.abs(np.diff(np.asarray(self.displacement, float)) / np.diff(np.asarray(self.time, float)))
+
+    def speed_from(self, time: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """A bound on its speed [m/s] from a time on, and until when [s] that holds: a knot from which it is faster."""
+        now = time * (1.0 + _SLACK * jnp.finfo(time.dtype).eps)  # a window that ends at a knot is there to rounding
+        bound = FASTEST * jnp.abs(jnp.diff(self.displacement) / jnp.diff(self.time))
+        begins, ends = self.time[:-1], self.time[1:]
+        here = jnp.sum(jnp.where((begins <= now) & (now < ends), bound, 0.0))
+        return here, jnp.min(jnp.where((begins > now) & (bound > here), begins, jnp.inf))
+
+    @property
+    def last_time(self) -> jax.Array:
+        """The time [s] from which on it rests for good: that of its last knot, but for those of the padding.
+
+        Displacements do not count: a later knot with the same one may be designed, and has a derivative.
+        """
+        gap = FAR_LATER * jnp.maximum(1.0, jnp.abs(self.time[:-1]))
+        padded = jax.lax.cummax((jnp.diff(self.time) >= 0.5 * gap).astype(jnp.int32)) > 0
+        return jnp.max(jnp.where(padded, self.time[0], self.time[1:]))
+
+    def frame(self, begin: jax.Array, end: jax.Array) -> ToolFrame:
+        """The tool's frame in a step from one time to another [s]."""
+        before, after = self.offset(begin), self.offset(end)
+        length = end - begin
+        still = length <= 0.0
+        return ToolFrame(after, jnp.where(still, 0.0, (after - before) / jnp.where(still, 1.0, length)))
+
+
+class ToolFrame(NamedTuple):
+    """A tool's frame in a step: its displacement at the step's end (3,) [m], and its velocity in it (3,) [m/s]."""
+
+    offset: jax.Array
+    velocity: jax.Array
+
+    def places(self, positions: Any) -> Vector:
+        """Positions, three times (n,) [m], in the tool's frame at the step's end."""
+        x, y, z = (component - far for component, far in zip(positions, self.offset, strict=True))
+        return x, y, z
+
+    def speeds(self, velocities: Any) -> Vector:
+        """Velocities, three times (n,) [m/s], relative to the tool."""
+        x, y, z = (component - speed for component, speed in zip(velocities, self.velocity, strict=True))
+        return x, y, z
+
+
+def tool_velocity(frames: tuple[ToolFrame | None, ...], tool: jax.Array | None) -> Any:
+    """Velocity of the tool that each node touches: three numbers where there is one tool, else three times (n,) [m/s].
+
+    None where no tool moves.
+    """
+    return _select_by_tool([None if frame is None else frame.velocity for frame in frames], tool)
+
+
+def tool_offset(frames: tuple[ToolFrame | None, ...], tool: jax.Array | None) -> Any:
+    """Displacement at the step's end [m] of the tool that each node touches, as `tool_velocity` gives velocities."""
+    return _select_by_tool([None if frame is None else frame.offset for frame in frames], tool)
+
+
+def _select_by_tool(values: Sequence[jax.Array | None], tool: jax.Array | None) -> Any:
+    """The value (3,) of the tool that each node touches, 0 where there is none; None where no tool has one."""
+    if tool is None or all(value is None for value in values):
+        return next((value for value in values if value is not None), None)
+    found = [jnp.zeros(tool.shape, value.dtype) for value in values if value is not None][:1] * 3
+    for number, value in enumerate(values):
+        if value is not None:
+            found = [jnp.where(tool == number, value[k], old) for k, old in enumerate(found)]
+    return found
+
+
+def make_motion(direction: ArrayLike, time: ArrayLike, displacement: ArrayLike) -> Motion:
+    """A motion along a direction (3,), through knots (n_knot,): times [s], increasing, and displacements [m].
+
+    Raises:
+        InputError: If the knots do not increase, are fewer than two or not finite, or do not match; if the first
+            displacement is not 0, or the direction has no length.
+    """
+    way = np.atleast_1d(as_numbers("mold.motion.direction", direction)).astype(float)
+    times = np.atleast_1d(as_numbers("mold.motion.time", time))
+    far = np.atleast_1d(as_numbers("mold.motion.displacement", displacement))
+    if way.shape != (3,) or not np.all(np.isfinite(way)) or not np.any(way):
+        raise InputError(
+            "is not a direction", "give three numbers, such as [0, 0, 1]", "mold.motion.direction", way.tolist()
+        )
+    if times.shape != far.shape or times.ndim != 1 or times.size < 2:
+        problem = f"{times.size} times and {far.size} displacements do not define a motion"
+        raise InputError(problem, "give two or more knots, one displacement per time", "mold.motion.displacement")
+    check("mold.motion.time", times)
+    check("mold.motion.displacement", far)
+    if far[0] != 0.0:
+        remedy = "start with 0, and place the mold at its start (mold.translate)"
+        raise InputError(
+            "the motion does not start with a displacement of 0", remedy, "mold.motion.displacement", float(far[0])
+        )
+    return Motion(as_real(way / np.linalg.norm(way)), as_real(times), as_real(far))

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import masks, meshes, topology
+from jaxform.mesh import meshes, outlines, planform, raster, topology
 from jaxform.mesh.rows import distinct_rows
-from jaxform.tools import heights
-from jaxform.tools.heights import Heights
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -93,7 +91,7 @@ def find_opening(
         InputError: The mold is neither hollow from any side nor does anything stand out of it.
     """
     size = meshes.size(vertices)
-    surface = heights.make_viewed_surface(vertices, triangles)
+    surface = make_viewed_surface(vertices, triangles)
     hollow, raised, others = opening_sides(surface, size, direction)
     male = is_male(hollow, raised) if male is None else male
     best = raised if male else hollow
@@ -101,7 +99,7 @@ def find_opening(
         problem = "no opening was found: no side has a cavity within a level rim, nor a plug on a base"
         remedy = "give --drape where the sheet is formed over the mold, or --direction for the side it comes from"
         raise InputError(problem, remedy)
-    view = heights.view_heights(surface, best.view.turn, FINE)
+    view = view_heights(surface, best.view.turn, FINE)
     look = _view_side(view, size)
     if male:
         return _male(look, size)
@@ -111,7 +109,7 @@ def find_opening(
 def is_rimmed(vertices: Array, triangles: Integers) -> bool:
     """True when a mold (n, 3) [m], (m, 3), shows a cavity within a rim, or a plug on a base, from any side."""
     size = meshes.size(vertices)
-    hollow, raised, _ = opening_sides(heights.make_viewed_surface(vertices, triangles), size)
+    hollow, raised, _ = opening_sides(make_viewed_surface(vertices, triangles), size)
     best = raised if is_male(hollow, raised) else hollow
     return best.share >= RIM and max(best.hollow, best.raised) >= HOLLOW * size**3
 
@@ -122,7 +120,7 @@ def is_male(hollow: SideView, raised: SideView) -> bool:
 
 
 def opening_sides(
-    surface: heights.ViewedSurface, size: float, direction: Array | None = None
+    surface: ViewedSurface, size: float, direction: Array | None = None
 ) -> tuple[SideView, SideView, list[Array]]:
     """The sides from which a mold may be formed.
 
@@ -136,7 +134,7 @@ def opening_sides(
         hollows.
     """
     turns = _candidate_rotations(*surface[:2]) if direction is None else [rotation_to_z(-direction)]
-    outer = [_view_side(heights.view_heights(surface, turn, _COARSE), size) for turn in turns]
+    outer = [_view_side(view_heights(surface, turn, _COARSE), size) for turn in turns]
     inner = [_limit_to_rim(look, size) for look in outer]
     hollow = _first_best(_has_rim(inner), lambda look: look.hollow)
     others = [-look.view.turn[2] for look in inner if look.share >= RIM and look.hollow >= _OTHERS * hollow.hollow]
@@ -206,7 +204,7 @@ def _brim(view: Heights, tolerance: float) -> float | None:
 def _held_volume(view: Heights, level: float) -> float:
     """Volume [m pixels] of the water that is held when it stands at a height [m]."""
     ground = view.height <= level
-    held = masks.fill_holes(ground) & ~ground & np.isfinite(view.height)
+    held = outlines.fill_holes(ground) & ~ground & np.isfinite(view.height)
     return float((view.height[held] - level).sum())
 
 
@@ -216,9 +214,9 @@ def _enclosing_rims(view: Heights, level: float, tolerance: float) -> Mask:
     What stands above a rim, beside the hollow, is left out: a handle that is higher.
     """
     ground = view.height <= level
-    hollow = masks.fill_holes(ground) & ~ground
-    whole = masks.fill_holes(hollow | (ground & (view.height >= level - 3 * tolerance)))
-    part, count = masks.label_parts(whole)
+    hollow = outlines.fill_holes(ground) & ~ground
+    whole = outlines.fill_holes(hollow | (ground & (view.height >= level - 3 * tolerance)))
+    part, count = outlines.label_parts(whole)
     held = hollow & np.isfinite(view.height)
     volume = np.bincount(part[held], view.height[held] - level, count + 1)
     return (volume >= _ALSO * volume.max())[part] & whole
@@ -226,7 +224,7 @@ def _enclosing_rims(view: Heights, level: float, tolerance: float) -> Mask:
 
 def _remove_specks(deep: Mask, height: Array) -> Mask:
     """The mask without holes through a flange: small ones, and those without a bottom beside hollows with one."""
-    part, count = masks.label_parts(deep)
+    part, count = outlines.label_parts(deep)
     area, bottom = (np.bincount(part[some], minlength=count + 1) for some in (deep, deep & np.isfinite(height)))
     large = area >= _SPECK * area.max()
     return (large & ((2 * bottom >= area) | (area == area.max())))[part] & deep
@@ -238,7 +236,7 @@ def _view_side(view: Heights, size: float) -> SideView:
     level, share = view.edge_level(tolerance)
     some = view.inside & np.isfinite(view.height)
     deep = view.inside & (view.height > level + tolerance)
-    rise, reach = view.height[some] - level, _STEEP * view.pixel * masks.distance(deep)[some]
+    rise, reach = view.height[some] - level, _STEEP * view.pixel * outlines.distance(deep)[some]
     cell = view.pixel**2
     hollow, raised = float(np.minimum(rise, reach)[rise > tolerance].sum()), float(-rise[rise < -tolerance].sum())
     # A rim with a few pins is one, and so is a base in which there are holes.
@@ -303,3 +301,94 @@ def rotation_to_z(direction: Array) -> Array:
     turn = np.eye(3) + cross + cross @ cross / (1 + z)
     turn[np.abs(turn) < 1e-12] = 0.0
     return turn
+
+
+# Heights of a surface as seen from a side: the nearest in each pixel, holes and rims included. On the host.
+
+_RIM = 2  # pixels beside the surface in which its rim is searched for
+_ABRUPT = 20.0  # degrees, from which a bend of the surface is an edge that may be thinner than a pixel
+
+
+@dataclass(frozen=True)
+class Heights:
+    """A surface viewed along +z, from below, in square pixels.
+
+    Attributes:
+        turn: Rotation of the surface (3, 3) for a view along +z.
+        low: Place of the first pixel's outer corner (2,) [m], after turning.
+        pixel: Side of a pixel [m].
+        height: The smallest z (ny, nx) [m] in each, after turning; infinite where there is nothing.
+        inside: Pixels (ny, nx) that the surface covers or surrounds.
+    """
+
+    turn: Array
+    low: Array
+    pixel: float
+    height: Array
+    inside: Mask
+
+    @property
+    def edge(self) -> Mask:
+        """Pixels of what is inside that are next to the outside."""
+        return self.inside & ~outlines.dilate(self.inside, -1)
+
+    def places(self, pixels: Mask) -> Array:
+        """Middles (n, 2) [m] of pixels."""
+        row, column = np.nonzero(pixels)
+        return self.low + self.pixel * (np.stack([column, row], axis=1) + 0.5)
+
+    def sample(self, values: NDArray[Any], places: Array) -> NDArray[Any]:
+        """The values (ny, nx) of the pixels that places (n, 2) [m] are in, or are nearest to."""
+        column, row = np.floor((places - self.low) / self.pixel).astype(int).T
+        return values[np.clip(row, 0, values.shape[0] - 1), np.clip(column, 0, values.shape[1] - 1)]
+
+    def inside_polygon(self, polygon: Array) -> Mask:
+        """The pixels (ny, nx) whose middles are in a polygon (k, 2) [m]."""
+        places = self.places(np.ones_like(self.inside))
+        return planform.inside(places, [polygon]).reshape(self.inside.shape)
+
+    def edge_level(self, tolerance: float) -> tuple[float, float]:
+        """The height [m] that most of the edge has, within a tolerance [m], and the share of the edge that has it."""
+        at_edge = np.sort(self.local_minimum()[self.edge])
+        many = np.searchsorted(at_edge, at_edge + 2 * tolerance, side="right") - np.arange(len(at_edge))
+        first = int(np.argmax(many))
+        return float(np.median(at_edge[first : first + many[first]])), float(many[first] / len(at_edge))
+
+    def local_minimum(self) -> Array:
+        """The smallest height (ny, nx) [m] in a few pixels around each."""
+        return outlines.local_minimum(self.height, _RIM)
+
+
+ViewedSurface = tuple[Array, NDArray[np.integer], Array]
+"""A surface to be viewed: vertices (n, 3) [m], triangles (m, 3), and its rims and sharp edges (k, 2, 3) [m]."""
+
+
+def make_viewed_surface(vertices: Array, triangles: NDArray[np.integer]) -> ViewedSurface:
+    """A surface (n, 3) [m], (m, 3), with its edges."""
+    return vertices, triangles, np.asarray(topology.feature_edges(vertices, triangles, _ABRUPT), np.float64)
+
+
+def view_heights(looked_at: ViewedSurface, turn: Array, pixels: int) -> Heights:
+    """The heights of a surface that is turned first.
+
+    Args:
+        looked_at: The surface.
+        turn: Matrix (3, 3).
+        pixels: Along the longer side.
+    """
+    vertices, triangles, edges = looked_at
+    turned = vertices @ turn.T
+    low, high = turned.min(0), turned.max(0)
+    pixel = float((high - low)[:2].max()) / pixels
+    first = low[:2] - 2.5 * pixel
+    width, height = (int(np.ceil(extent / pixel)) + 5 for extent in (high - low)[:2])
+    nearest = np.full(width * height, np.inf)
+    corners = turned[triangles]
+    for _, covered, interpolate in raster.rasterize((corners[..., :2] - first) / pixel, width, height):
+        np.minimum.at(nearest, covered, interpolate(corners[..., 2]))
+    # Walls that stand upright, and rims, are in no pixel's middle.
+    points = topology.edge_points(edges @ turn.T, pixel)
+    column, row = np.floor((points[:, :2] - first) / pixel).astype(int).T
+    np.minimum.at(nearest, row * width + column, points[:, 2])
+    seen_there = nearest.reshape(height, width)
+    return Heights(turn, first, pixel, seen_there, outlines.fill_holes(np.isfinite(seen_there)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, topology
-from jaxform.tools.halves import Plane
+from jaxform.tools.kinds import Plane
 from jaxform.tools.molds import MoldShape
 
 Array = NDArray[np.float64]

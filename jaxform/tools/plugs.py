@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import masks
+from jaxform.mesh import outlines
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools.opening import Opening
 
@@ -38,7 +38,7 @@ def offset_plug(found: Opening, clearance: float) -> tuple[Mesh, float]:
     Returns:
         Its surface, where it starts, and the way [m] that it goes into the cavity.
     """
-    room = masks.distance(found.cavity) * found.view.pixel
+    room = outlines.distance(found.cavity) * found.view.pixel
     off = (1.0 - WIDTH) * room.max()
     center = _middle(found, room)
     angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
@@ -64,7 +64,7 @@ def offset_plug(found: Opening, clearance: float) -> tuple[Mesh, float]:
 def _middle(found: Opening, room: Array) -> Array:
     """The middle (2,) [m] of the places of a cavity that are farthest from its outline: a slot has many."""
     farthest = room >= room.max() * (1.0 - 1e-2)
-    parts, _ = masks.label_parts(farthest)
+    parts, _ = outlines.label_parts(farthest)
     places = found.view.places(parts == np.argmax(np.bincount(parts.ravel())[1:]) + 1)
     middle = places.mean(0)
     # Of a ring, the middle is none of its places.
@@ -132,7 +132,7 @@ def place_plug(mesh: Mesh, found: Opening, clearance: float) -> tuple[float, Arr
     middle = 0.5 * (low + high)[:2]
     shift = np.array([0.0, 0.0, -clearance - high[2]])
     if not found.view.sample(found.cavity, middle[None])[0]:
-        shift[:2] = _middle(found, masks.distance(found.cavity)) - middle
+        shift[:2] = _middle(found, outlines.distance(found.cavity)) - middle
     points = np.concatenate([used, mesh.positions[mesh.triangles].mean(1)]) + shift
     free = _depth(found, points[:, :2]) - points[:, 2] - _GAP * found.depth
     stroke = min(DEPTH * found.depth + clearance, float(free.min()))

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh import masks, raster
+from jaxform.mesh import outlines, raster
 from jaxform.mesh.rows import distinct_rows
 from jaxform.tools.crossings import Ways, crosses, near_pairs
 from jaxform.tools.search import SearchGrid
@@ -328,7 +328,7 @@ def slender_feature(sheet: Array, mold: Array, push: Array, side: float, held: A
         return None
     way = np.where(met, way, way[met].max())
     radius = side / (2 * pixel)
-    filled = masks.fill_narrow_minima(way, radius)
+    filled = outlines.fill_narrow_minima(way, radius)
     near_rim = _is_near((held @ across.T - low) / pixel, inside, 3 * radius)
     above = np.where(inside & met & ~near_rim & (way > level), filled - way, 0.0)
     found = _highest(above, way, filled, radius, _TALL * side)
@@ -355,14 +355,14 @@ def _highest(
         radius: Of an element [pixels].
         least: Height [m].
     """
-    part, count = masks.label_parts(above > least)
+    part, count = outlines.label_parts(above > least)
     for number in sorted(range(1, count + 1), key=lambda k: -above[part == k].max())[:_PARTS]:
         region = part == number
         row, column = np.unravel_index(int(np.argmax(np.where(region, above, 0.0))), above.shape)
         wide = filled <= way[row, column] + 0.5 * above[row, column]
-        away = masks.distance(~wide)[region].max() if wide.any() else np.inf
+        away = outlines.distance(~wide)[region].max() if wide.any() else np.inf
         if away > _CORNER * radius + 2.0:
-            return (int(row), int(column)), float(masks.distance(region).max())
+            return (int(row), int(column)), float(outlines.distance(region).max())
     return None
 
 
@@ -405,4 +405,4 @@ def _is_near(points: Array, inside: NDArray[np.bool_], reach: float) -> NDArray[
         return marked
     column, row = np.clip(np.floor(points).astype(np.int64), 0, np.array(inside.shape)[::-1] - 1).T
     marked[row, column] = True
-    return masks.distance(~marked) <= reach
+    return outlines.distance(~marked) <= reach

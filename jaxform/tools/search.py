@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.cores import usable_cores
+from jaxform.core.installation import usable_cores
 from jaxform.core.pytree import as_index, as_real, pytree
 from jaxform.core.store import Store
 from jaxform.kernels.blocks import materialize

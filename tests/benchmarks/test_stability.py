@@ -14,7 +14,7 @@ import jaxform
 from benchmarks.stability import figures, page, random_scenes, stress
 from jaxform.dynamics import window_end
 from jaxform.results.summary import summarize
-from jaxform.runs import loop
+from jaxform.runs import host
 from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.state import Status
 from tests import scenes
@@ -63,10 +63,10 @@ def test_a_run_in_windows_and_one_in_hundreds_are_the_same() -> None:
     drawn = random_scenes.draw(ONCE_BROKEN[0])
     _, ours = stress.run_drawn(drawn)
     room = pad_to_bucket(drawn.scene, recorded=True)
-    state, first, taken = loop.begin(room.scene)
-    state, taken, done = loop.advance(state, room.scene, first, taken, jnp.int32(drawn.planned))
+    state, first, taken = host.begin(room.scene)
+    state, taken, done = host.advance(state, room.scene, first, taken, jnp.int32(drawn.planned))
     assert bool(done)
-    whole = room.result(loop.result_of(state, room.scene, first, taken))
+    whole = room.result(host.result_of(state, room.scene, first, taken))
     np.testing.assert_array_equal(ours.positions, whole.positions)
     assert ours.schedule is not None
     counts, lengths = (np.asarray(x) for x in (ours.schedule.counts, ours.schedule.lengths))

@@ -12,7 +12,7 @@ import trimesh
 
 import jaxform
 from jaxform.cli import command
-from jaxform.io import files, scene_wizard, unit_checks
+from jaxform.io import files, plausibility, scene_wizard
 from jaxform.io.scene_choices import VACUUM
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
@@ -172,7 +172,7 @@ def test_a_scan_with_holes_and_a_rough_rim_is_closed(tmp_path, capfd):
     ],
 )
 def test_units(box, name, others):
-    _, found, told = unit_checks.guess_units(np.array(box))
+    _, found, told = plausibility.guess_units(np.array(box))
     assert found == name and all(f"--scale {other}" in told + " " for other in others)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxform.cli import command
-from jaxform.io import files, tool_checks
+from jaxform.io import files, plausibility
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.model.scene import Scene
@@ -61,7 +61,7 @@ def test_a_plug_of_the_cavity_keeps_off_the_mold(tmp_path: Path, mold: Mesh) -> 
         np.array([0.13, 0.13] if mold.positions[:, 0].min() < 0 else [0.2, 0.12]),
     )
     np.testing.assert_allclose(opening - across, 0.25 * opening.min(), rtol=0.1)
-    assert tool_checks.find_meetings(scene) == []
+    assert plausibility.find_meetings(scene) == []
     # Where the plug ends it is not nearer to the mold than a tenth of the depth.
     away = Distances(scene.mold.vertices, scene.mold.triangles, 1.0).upper_bounds(places + np.array([0.0, 0.0, stroke]))
     assert away[places[:, 2] + stroke > 0.1 * depth].min() > 0.1 * depth
@@ -78,7 +78,7 @@ def test_a_plug_that_is_beside_the_cavity_is_put_before_its_middle(tmp_path: Pat
         # Of one above the cavity, the place is kept.
         np.testing.assert_allclose(middle, [0.01 if name == "above.stl" else 0.0, 0.0], atol=1e-3)
         np.testing.assert_allclose(tip + float(tool.motion.displacement[-1]), 0.04, rtol=0.01)
-        assert tool_checks.find_meetings(scene) == []
+        assert plausibility.find_meetings(scene) == []
         assert (tmp_path / f"scene-{name}" / name).read_bytes() == plug.read_bytes()
 
 

@@ -13,13 +13,13 @@ import trimesh
 import jaxform
 from benchmarks.speed import contact as figures
 from jaxform import molds, shapes
-from jaxform.contact import broad_phase, candidates, lists
+from jaxform.contact import broad_phase, candidates
 from jaxform.dynamics import contact_step
 from jaxform.dynamics import window as windows
 from jaxform.kernels.blocks import BLOCK
 from jaxform.prepare import scene_builder
 from jaxform.results.summary import measure_penetration
-from jaxform.runs import loop
+from jaxform.runs import host
 from jaxform.sheet.state import State
 from jaxform.tools import search
 from jaxform.tools.mold import Mold
@@ -257,7 +257,7 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
     scene = scenes.cup()
 
     def taken() -> State:
-        state, body, _ = loop.begin(scene)
+        state, body, _ = host.begin(scene)
         advance = jax.jit(lambda state: windows.window(state, scene, body, differentiable=False))
         for _ in range(25):
             state = advance(state)
@@ -302,7 +302,7 @@ def test_what_touches_between_two_looks_unseen_is_retried() -> None:
     np.testing.assert_allclose(blind.thickness, seen.thickness, rtol=2e-2)
 
 
-def _list_nodes(tool: ContactSurface) -> lists.Candidates:
+def _list_nodes(tool: ContactSurface) -> broad_phase.Candidates:
     """A list of nodes near the mold, on random paths."""
     begin, end = (
         jnp.asarray(place.T[:, :BLOCK]) for place in figures.random_paths(tool.mold, tool.grid, BLOCK, seed=2)
@@ -318,12 +318,12 @@ def test_where_pairs_find_no_room_lists_are_shorter_and_nothing_is_missed(
     (surface,) = scene.surfaces
     roomy, wide = jaxform.run(scene), _list_nodes(surface)
     # Room for 128 pairs, of a scene that is traced as it is: `run` would give it more.
-    monkeypatch.setattr(lists, "_LEAST_ROOM", 128)
+    monkeypatch.setattr(broad_phase, "_LEAST_ROOM", 128)
     narrow = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, pairs_per_node=1))
-    monkeypatch.setattr(lists, "PAIRS_PER_NODE", 1)
-    monkeypatch.setattr(lists, "_CANDIDATES", 1)
+    monkeypatch.setattr(broad_phase, "PAIRS_PER_NODE", 1)
+    monkeypatch.setattr(broad_phase, "_CANDIDATES", 1)
     tight, slim = jax.jit(jaxform.simulate)(narrow), _list_nodes(surface)
-    assert int(wide.count) > slim.lists.node.size - lists.TEST_BLOCK and not (wide.overflow or slim.overflow)
+    assert int(wide.count) > slim.lists.node.size - broad_phase.TEST_BLOCK and not (wide.overflow or slim.overflow)
     assert np.all(slim.limit_square < wide.limit_square)  # so that nodes leave their spheres sooner
     assert jaxform.explain(tight) == "ok"
     assert measure_penetration(tight, scene).nodes < 1e-12

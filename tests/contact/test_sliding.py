@@ -16,9 +16,9 @@ from jaxform.contact.facet_slip import find_facets, slide_within_facets
 from jaxform.contact.sliding import LyingNodes, slide_nodes
 from jaxform.core.pytree import as_real
 from jaxform.kernels.blocks import BLOCK
+from jaxform.mechanics.elements import Nodes
 from jaxform.mechanics.membrane import dot, minus, unstack_rows, vector
-from jaxform.mechanics.nodes import Nodes
-from jaxform.tools.motion import ToolFrame
+from jaxform.tools.mold import ToolFrame
 from jaxform.tools.search import build_grid
 from jaxform.tools.surface_walk import ContactSurface, Glide, facets, move_along, signed_neighbors
 

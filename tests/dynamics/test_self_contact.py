@@ -16,7 +16,7 @@ import trimesh
 import jaxform
 from jaxform.cli import command
 from jaxform.io import files
-from jaxform.results.part_warnings import warnings_of_part
+from jaxform.results.part import warnings_of_part
 
 _ACROSS, _ALONG, _ANGLE, _HEIGHT = 17, 13, 10.0, 0.05
 

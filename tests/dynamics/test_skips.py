@@ -20,8 +20,8 @@ from jaxform.kernels import blocks
 from jaxform.mechanics import force, membrane
 from jaxform.mechanics.corners import Load
 from jaxform.model.tables import ReferenceGeometry
-from jaxform.prepare import window_budget
-from jaxform.runs import loop, simulation
+from jaxform.prepare import planning
+from jaxform.runs import host, simulation
 from jaxform.sheet import packing
 from jaxform.sheet.active_set import active_set_of
 from jaxform.sheet.discretization import discretize
@@ -74,10 +74,10 @@ def test_what_sticks_to_a_tool_at_rest_is_packed_away_while_others_move_or_nodes
     np.testing.assert_array_equal(on.tool, off.tool)
     for name in ("external_work", "tool_work", "friction_loss", "damping_loss"):
         np.testing.assert_allclose(getattr(on.energy, name), getattr(off.energy, name), rtol=1e-10, atol=1e-18)
-    state, first, taken = loop.begin(scene)
+    state, first, taken = host.begin(scene)
     carried, left, held = 0, np.zeros(0, bool), np.zeros(0, bool)
     while not bool(is_finished(state, scene)):
-        state, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(4))
+        state, taken, _ = host.advance(state, scene, first, taken, jnp.int32(4))
         left = np.asarray(active_set_of(state, scene, first).packed.kept)
         held = np.asarray(state.nodes.stuck)[np.asarray(scene.parison.triangles)].all(1)
         carried = max(carried, np.sum(held & left))
@@ -108,7 +108,7 @@ def test_a_run_with_a_tool_ends_when_nothing_can_move_any_more() -> None:
 
 def test_what_sticks_is_packed_away() -> None:
     scene = scenes.cup()
-    state, discrete, _ = loop.begin(scene)
+    state, discrete, _ = host.begin(scene)
     moving = np.zeros(scene.tables.sheet.area.size, bool)
     moving[[3, 4, 40]] = True
     packed = packing.pack(jnp.asarray(moving), scene.tables.sheet, scene.tables.assembly)
@@ -247,7 +247,7 @@ def test_the_first_step_is_not_cold() -> None:
     assert mode is None
     assert 1.1 < float(sharp / bound) < 2.0
     # What `check` tells is found on the host. On the ladder, and a little less where nothing damps.
-    assert 0.85 < float(bound) / window_budget.first_step(plain) <= 1.0
+    assert 0.85 < float(bound) / planning.first_step(plain) <= 1.0
 
 
 def test_the_slope_of_a_batch_is_that_of_its_designs_whatever_is_stored() -> None:

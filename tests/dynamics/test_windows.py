@@ -18,7 +18,7 @@ from jaxform.dynamics import window as windows
 from jaxform.dynamics.window_state import initial_state
 from jaxform.model.replacement import number_at
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
-from jaxform.prepare import window_budget
+from jaxform.prepare import planning
 from jaxform.sheet.active_set import ActiveSet, Workspace, active_set_of
 from jaxform.sheet.discretization import discretize
 from jaxform.sheet.state import State, noise_vector
@@ -177,7 +177,7 @@ def _assert_close(found: Any, expected: Any) -> None:
 )
 def test_there_are_enough_windows_to_look_at_a_run(short_ones: int, frames: int, longest: int) -> None:
     """A built scene knows how many short windows it may take; a run takes a quarter of them, or more."""
-    assert window_budget.longest_window(short_ones, frames) == longest
+    assert planning.longest_window(short_ones, frames) == longest
 
 
 def test_a_run_that_ends_sooner_has_as_many_windows() -> None:

@@ -22,7 +22,7 @@ from packaging.requirements import Requirement
 from pydantic import TypeAdapter, ValidationError
 
 import jaxform
-from jaxform.core.parameters import parameter_ranges
+from jaxform.core.pytree import parameter_ranges
 from jaxform.core.ranges import RANGES
 from jaxform.io import files, output, schema
 from jaxform.io.schema.scene import Gravity

@@ -17,11 +17,11 @@ import jaxform
 from jaxform import shapes
 from jaxform.core.errors import InputError
 from jaxform.core.store import Store
-from jaxform.io import canvas, files, geometry, plots, surfaces, views
+from jaxform.io import canvas, files, geometry, plots, surfaces
 from jaxform.mesh import raster, topology
 from jaxform.results import sections
 from jaxform.results.result import Result
-from jaxform.runs import loop
+from jaxform.runs import host
 from jaxform.sheet import state
 from tests import scenes
 
@@ -273,7 +273,7 @@ def test_a_design_on_a_mesh_that_is_refined_otherwise_is_drawn(tmp_path: Path) -
     scene = scenes.refinable(shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 60)
     begun, first = scenes.begin_run(scene)
     finer = scenes.bisect_scene(scene, begun, first, jnp.arange(60) < 4)[0]
-    before, after = ((scene, loop.result_of(state, scene, first)) for state in (begun, finer))
+    before, after = ((scene, host.result_of(state, scene, first)) for state in (begun, finer))
     assert int(after[1].used.sum()) > int(before[1].used.sum())
     plots.design_picture(tmp_path / "design.png", before, after)
     plots.stages_picture(tmp_path / "stages.png", scene, [before[1], after[1]])
@@ -321,7 +321,7 @@ def test_labels_of_tall_parts_are_in_the_picture(rise: float) -> None:
     view = plots.part_picture(*_over_a_plate(0.0, 1.0, rise)).view
     figure = canvas.new_figure(16, 7, "")
     axes = figure.add_axes((0.0, 0.04, 0.47, 0.84), projection="3d")
-    views.draw(axes, view)
+    canvas.draw(axes, view)
     figure.draw_without_rendering()
     renderer = figure.canvas.get_renderer()
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):

@@ -18,7 +18,7 @@ import jaxform
 from jaxform.cli import check_command
 from jaxform.core import errors
 from jaxform.core.store import Store
-from jaxform.io import files, plots, scene_rewriting, tool_checks
+from jaxform.io import files, plausibility, plots, scene_rewriting
 from jaxform.mesh import meshes
 from jaxform.sweeps import designs
 from jaxform.tools import molds
@@ -226,7 +226,7 @@ def test_check_warns_of_tools(tools: Any, words: list[str]) -> None:
 
 def test_tools_meet_where_they_do() -> None:
     scene = files.build_unchecked(_document([_plug(displacement=[0.0, 0.06])], mold=CUP))
-    ((one, other, time, place),) = tool_checks.find_meetings(scene)
+    ((one, other, time, place),) = plausibility.find_meetings(scene)
     assert one is scene.mold and other is scene.tools[0]
     reached = -0.001 + float(other.motion.offset(jnp.asarray(time))[2])  # pyright: ignore
     # The tip is in the bottom of the cup at that time, and one compared time earlier it was not.

@@ -12,7 +12,7 @@ import pytest
 
 import jaxform
 from jaxform.core.errors import InputError
-from jaxform.mechanics import membrane, stiffness
+from jaxform.mechanics import constitutive, membrane
 from tests import scenes
 from tests.scenes import real
 
@@ -170,7 +170,7 @@ def test_the_stable_step_and_the_energy_know_all_second_derivatives(
     gradient = jnp.asarray([[stretch[0], 0.0], [0.0, stretch[1]], [0.0, 0.0]])
     energy = jax.hessian(lambda x: membrane.energy_density(strained(x), law))
     largest = np.linalg.eigvalsh(energy(gradient).reshape(6, 6)).max()
-    found = stiffness.tangent_stiffness(strained(gradient), law)
+    found = constitutive.tangent_stiffness(strained(gradient), law)
     np.testing.assert_allclose(found, largest, rtol=1e-8)
     if stretch == (1.0, 1.0):
         np.testing.assert_allclose(law.stiffness(), largest / 12, rtol=1e-9)

@@ -13,10 +13,10 @@ import pytest
 
 import jaxform
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import parameter_ranges
+from jaxform.core.pytree import parameter_ranges
 from jaxform.core.store import Store
 from jaxform.materials import Slope
-from jaxform.mechanics import membrane, stiffness
+from jaxform.mechanics import constitutive, membrane
 from jaxform.results.result import Result
 from jaxform.sheet.state import Status
 from tests import scenes
@@ -83,7 +83,7 @@ def test_the_stable_step_knows_every_second_derivative(law: jaxform.Law, stretch
     gradient = jnp.asarray([[stretch[0], 0.0], [0.0, stretch[1]], [0.0, 0.0]])
     largest = np.linalg.eigvalsh(jax.hessian(energy)(gradient).reshape(6, 6)).max()
     strain = membrane.invariants((real(stretch[0] ** 2), real(0.0), real(stretch[1] ** 2)), unit)
-    np.testing.assert_allclose(stiffness.tangent_stiffness(strain, law), largest, rtol=1e-9)
+    np.testing.assert_allclose(constitutive.tangent_stiffness(strain, law), largest, rtol=1e-9)
 
 
 def test_a_law_by_its_energy_is_the_law_in_closed_form() -> None:

@@ -16,7 +16,7 @@ import jaxform
 from jaxform import shapes
 from jaxform.core.errors import InputError
 from jaxform.io import files, output
-from jaxform.mechanics import membrane, stiffness
+from jaxform.mechanics import constitutive, membrane
 from jaxform.results import tool_contact
 from tests import scenes
 from tests.scenes import real
@@ -117,7 +117,7 @@ def test_the_bound_on_the_step_is_that_of_the_sheet_once_it_is_taut(law: jaxform
     hessians = jax.jit(jax.vmap(jax.hessian(one)))(gradients().transpose(2, 0, 1))
     largest = np.linalg.eigvalsh(np.asarray(hessians).reshape(COUNT, 6, 6)).max(1)
     strain = membrane.invariants(G, UNIT)
-    bound = np.asarray(stiffness.tangent_stiffness(strain, law))
+    bound = np.asarray(constitutive.tangent_stiffness(strain, law))
     assert np.all(largest <= bound * (1 + 1e-9))
     taut = ~np.asarray(membrane.relax_strain(strain)[1].slack)
     assert 20 < taut.sum() < COUNT - 20

@@ -15,7 +15,7 @@ from jaxform import shapes
 from jaxform.core.compilation import compile_function
 from jaxform.kernels import blocks
 from jaxform.materials import Law
-from jaxform.mechanics import force, membrane, stiffness
+from jaxform.mechanics import constitutive, force, membrane
 from jaxform.mechanics.corners import Load
 from jaxform.mechanics.elements import Elements
 from jaxform.model.tables import ReferenceGeometry
@@ -211,7 +211,7 @@ def test_tangent_stiffness_is_the_largest_eigenvalue(law: Law, stretch: tuple[fl
         (jnp.asarray(stretch[0] ** 2), jnp.asarray(0.0), jnp.asarray(stretch[1] ** 2)),
         jnp.asarray([1.0, 0.0, 1.0]),
     )
-    got = stiffness.tangent_stiffness(strain, law)
+    got = constitutive.tangent_stiffness(strain, law)
     np.testing.assert_allclose(got, np.linalg.eigvalsh(hessian).max(), rtol=1e-9)
 
 
@@ -232,10 +232,10 @@ def test_stable_step_bounds_the_true_limit_closely() -> None:
     assembled = -tangent[:, :count, :, :count].reshape(size, size)
     root = np.tile(1 / np.sqrt(np.asarray(mass)), 3)
     limit = 2 / np.sqrt(np.linalg.eigvalsh(root[:, None] * assembled * root[None, :]).max())
-    bound = stiffness.shape_bound(sheet.inverse_metric, sheet.area)
+    bound = constitutive.shape_bound(sheet.inverse_metric, sheet.area)
     moving = sheet.area > 0
-    stiff = stiffness.element_stiffness(
+    stiff = constitutive.element_stiffness(
         load.positions, sheet.triangles, sheet.inverse_metric, bound, moving, load.material
     )
-    step = stiffness.stable_step(jnp.max(stiff), load.material)
+    step = constitutive.stable_step(jnp.max(stiff), load.material)
     assert 0.6 * limit < float(step) <= limit

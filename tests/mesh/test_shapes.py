@@ -14,8 +14,8 @@ import pytest
 import jaxform
 from jaxform.core.errors import InputError, InputWarning
 from jaxform.mesh import topology
+from jaxform.mesh.grids import Profile
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.profiles import Profile
 from jaxform.mesh.shapes import disc, from_mesh, rectangle, sphere
 
 pytestmark = pytest.mark.quick

@@ -13,7 +13,7 @@ import pytest
 
 import jaxform
 import optimize
-from jaxform.mesh.profiles import Profile
+from jaxform.mesh.grids import Profile
 from optimize import termination
 from optimize.designs import Point
 from optimize.gradients import gradient_error, slope_within

@@ -14,7 +14,7 @@ import pytest
 
 import jaxform
 import optimize
-from jaxform.mesh.profiles import Profile
+from jaxform.mesh.grids import Profile
 from optimize import objectives, starts
 from optimize.designs import KEPT
 from optimize.search import Search

@@ -13,7 +13,7 @@ import pytest
 import jaxform
 import optimize
 from jaxform.io import files, scene_rewriting
-from jaxform.mesh.profiles import Profile
+from jaxform.mesh.grids import Profile
 from optimize.variables import (
     apply_bounds,
     apply_log_bounds,

@@ -15,7 +15,7 @@ from jaxform import molds, shapes
 from jaxform.materials import Law
 from jaxform.model.scene import Scene
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
-from jaxform.prepare import window_budget
+from jaxform.prepare import planning
 from tests import scenes
 from tests.scenes import real
 
@@ -66,7 +66,7 @@ def test_an_exponential_law_is_planned_for_the_stretch_that_it_will_meet(b: floa
     result = jaxform.simulate(scene)
     assert int(result.status) == 0
     reached = float(jnp.max(result.stretches))
-    expected = window_budget.expected_stretch(scene.parison, scene.material, np.array([4000.0]), None)
+    expected = planning.expected_stretch(scene.parison, scene.material, np.array([4000.0]), None)
     assert reached < expected < 1.5 * reached
     # No more than all scenes have room for.
     assert scene.tables.window_count <= 128 + 32
@@ -75,10 +75,10 @@ def test_an_exponential_law_is_planned_for_the_stretch_that_it_will_meet(b: floa
 def test_the_sheet_bears_the_expected_pressure_at_the_expected_stretch() -> None:
     """Twice P = h0 W'(s) / (r s^2) of a sphere; neo-Hookean spheres bear none beyond their limit point."""
     law, parison = fung(0.2), balloon(fung(0.2)).parison
-    stretch = window_budget.expected_stretch(parison, law, np.array([0.0, -4000.0]), None)
+    stretch = planning.expected_stretch(parison, law, np.array([0.0, -4000.0]), None)
     slope = jax.grad(lambda s: law.energy(2 * s**2 + s**-4, jnp.zeros(())))(stretch)
     np.testing.assert_allclose(1e-3 * slope / (0.05 * stretch**2), 2 * 4000.0, rtol=0.25)
-    assert window_budget.expected_stretch(parison, scenes.mooney(0.0, 1e5), np.array([4000.0]), None) == 6.0
+    assert planning.expected_stretch(parison, scenes.mooney(0.0, 1e5), np.array([4000.0]), None) == 6.0
 
 
 @pytest.mark.parametrize("j_max", [25.0, 60.0])
@@ -89,12 +89,12 @@ def test_a_law_with_a_limit_has_room_for_a_few_times_the_windows_that_it_takes(j
     assert int(result.status) == 0 and np.mean(np.asarray(result.contact_time) > 0) > 0.3
     steps = int(np.sum(np.asarray(result.schedule.counts)))  # pyright: ignore[reportOptionalMemberAccess]
     assert SHORT_WINDOW * scene.tables.window_count < 6 * steps
-    assert window_budget.stiffens_steeply(scene.material) and scene.tables.longest_window == LONG_WINDOW
+    assert planning.stiffens_steeply(scene.material) and scene.tables.longest_window == LONG_WINDOW
 
 
 def test_laws_that_do_not_stiffen_steeply_are_planned_for_as_before() -> None:
     for law in (scenes.mooney(0.0), scenes.mooney(0.5), jaxform.Yeoh(real(1.0), real(0.0), real(0.0), real(1.0))):
-        assert not window_budget.stiffens_steeply(law)
+        assert not planning.stiffens_steeply(law)
     tables = scenes.cup().tables
     assert int(tables.planned) == np.iinfo(np.int32).max
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxform.model.part import make_part
 from jaxform.model.scene import Scene
-from jaxform.results.part_warnings import has_burst, thinnest_element, warnings_of_part
+from jaxform.results.part import has_burst, thinnest_element, warnings_of_part
 from jaxform.sheet.state import Status
 from tests import scenes
 

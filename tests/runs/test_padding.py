@@ -19,7 +19,7 @@ import jaxform
 from benchmarks.speed import waiting
 from jaxform.core.store import Store
 from jaxform.kernels import capacities
-from jaxform.runs import loop, padding
+from jaxform.runs import host, padding
 from tests.scenes import assert_same, cup
 
 pytestmark = pytest.mark.filterwarnings("ignore:nothing touched the mold", "ignore:.*hardly moved")
@@ -71,10 +71,10 @@ def test_programs_for_more_elements_serve_a_smaller_mesh(compilations: Callable[
     """With the same result, nodes to the last bit; not those of three rungs more."""
     first, second = (capacities.element_capacity(1), capacities.element_capacity(capacities.element_capacity(1)))
     scene, larger, store = dish(0.05, 77), dish(0.05, first + 40), Store()
-    assert first < len(larger.parison.triangles) < second and not loop.is_compiled(scene, store)
+    assert first < len(larger.parison.triangles) < second and not host.is_compiled(scene, store)
     jaxform.run(larger, store=store)
     before = compilations()
-    assert loop.is_compiled(scene, store) and not loop.is_compiled(scene, store, 0)
+    assert host.is_compiled(scene, store) and not host.is_compiled(scene, store, 0)
     served = jaxform.run(scene, store=store)
     assert compilations() == before
     alone = jaxform.run(scene, store=Store())
@@ -82,8 +82,8 @@ def test_programs_for_more_elements_serve_a_smaller_mesh(compilations: Callable[
         assert_same(getattr(served, name), getattr(alone, name))
     assert float(served.energy.strain) == pytest.approx(float(alone.energy.strain), rel=1e-13)
     fourth = padding.pad_to_bucket(scene, capacities.element_capacity(second), recorded=True).scene
-    loop.programs(fourth, far := Store())
-    assert len(loop.select_bucket(scene, far).scene.parison.triangles) == first
+    host.programs(fourth, far := Store())
+    assert len(host.select_bucket(scene, far).scene.parison.triangles) == first
 
 
 def test_a_jitted_function_of_padded_scenes_is_traced_once(compilations: Callable[[], int]) -> None:
@@ -108,7 +108,7 @@ def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
     room = padding.pad_to_bucket(make())
     assert room.order is not None
     scene, own = room.scene, room.original
-    whole = loop.whole_run
+    whole = host.whole_run
     expected = whole(scene)
     beyond = np.ones(len(scene.parison.positions), bool)
     beyond[room.order.node] = False

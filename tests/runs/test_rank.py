@@ -12,7 +12,7 @@ import pytest
 
 import jaxform
 from jaxform import shapes
-from jaxform.runs import loop, padding
+from jaxform.runs import host, padding
 from tests import scenes
 from tests.examples.cooling import Cooling
 from tests.examples.sealed_gas import SealedGas
@@ -47,9 +47,9 @@ def test_every_program_says_along_which_axes(make: Callable[[], jaxform.Scene]) 
     room = padding.pad_to_bucket(scene, recorded=True).scene
 
     def whole_run(scene: jaxform.Scene) -> jaxform.Result:
-        state, first, taken = loop.begin(scene)
-        state, taken, _ = loop.advance(state, scene, first, taken, np.int32(1))
-        return loop.result_of(state, scene, first, taken, last=True)
+        state, first, taken = host.begin(scene)
+        state, taken, _ = host.advance(state, scene, first, taken, np.int32(1))
+        return host.result_of(state, scene, first, taken, last=True)
 
     def wall(thickness: jax.Array) -> jax.Array:
         design = jaxform.replace(scene, {"parison.thickness": thickness})

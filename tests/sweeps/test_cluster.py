@@ -15,7 +15,7 @@ import pytest
 
 import jaxform
 from jaxform.core.errors import redirect_warnings
-from jaxform.sweeps import engine, workers
+from jaxform.sweeps import workers
 from tests.sweeps.test_engine import note
 
 distributed = pytest.importorskip("distributed")
@@ -53,8 +53,8 @@ def test_a_killed_worker_costs_nothing_that_is_recorded(address: str, tmp_path: 
     with workers.connect(address) as executor:
         pids = list(executor._client.run(os.getpid).values())
         recorded: dict[int, int] = {}
-        outcomes: dict[int, engine.Outcome] = {}
-        for place, outcome in engine.evaluate(compute, [(k, str(tmp_path)) for k in range(40)], executor):
+        outcomes: dict[int, workers.Outcome] = {}
+        for place, outcome in workers.evaluate(compute, [(k, str(tmp_path)) for k in range(40)], executor):
             assert place not in outcomes
             outcomes[place], recorded[place] = outcome, _count(tmp_path, place)
             if len(outcomes) == 8:
@@ -78,7 +78,7 @@ def test_a_client_is_an_executor(address: str, tmp_path: Path) -> None:
 def test_a_cluster_without_workers_is_waited_for_aloud(
     address: str, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine, "_PATIENCE", 0.5)
+    monkeypatch.setattr(workers, "_PATIENCE", 0.5)
     cluster.scale(0)
     told: list[str] = []
 
@@ -89,7 +89,7 @@ def test_a_cluster_without_workers_is_waited_for_aloud(
     with workers.connect(address) as executor, redirect_warnings(tell):
         while executor._client.nthreads():
             time.sleep(0.05)
-        found = dict(engine.evaluate(compute, [(k, str(tmp_path)) for k in range(4)], executor))
+        found = dict(workers.evaluate(compute, [(k, str(tmp_path)) for k in range(4)], executor))
     assert len(told) == 1 and f"'{address}': has 0 workers" in told[0] and f"dask worker {address}" in told[0]
     assert [found[k].value for k in range(4)] == [0, 1, 4, None]
 
@@ -130,8 +130,8 @@ def test_a_worker_that_its_cluster_kills_for_its_memory_is_a_row(tmp_path: Path)
     options: dict[str, Any] = {"threads_per_worker": 1, "dashboard_address": None, "memory_limit": "900MB"}
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), distributed.LocalCluster(1, **options) as one:
         with workers.connect(one.scheduler_address) as executor:
-            found = dict(engine.evaluate(fill, [(k, str(tmp_path)) for k in range(4)], executor))
-    assert found[2] == engine.Outcome(engine.LOST) and "without memory" in engine.LOST
+            found = dict(workers.evaluate(fill, [(k, str(tmp_path)) for k in range(4)], executor))
+    assert found[2] == workers.Outcome(workers.LOST) and "without memory" in workers.LOST
     assert [found[k].value for k in (0, 1, 3)] == [0, 1, 3]
     assert _count(tmp_path, 2) == 2  # once more, alone
 

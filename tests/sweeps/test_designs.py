@@ -14,8 +14,7 @@ import jaxform
 from jaxform.io import schema
 from jaxform.io.validation import validate
 from jaxform.sweeps import designs
-from jaxform.sweeps.designs import DesignRow
-from jaxform.sweeps.sampling import sample
+from jaxform.sweeps.designs import DesignRow, sample
 from tests import scenes
 
 BOX = scenes.FILE.replace(

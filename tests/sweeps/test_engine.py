@@ -15,9 +15,8 @@ from typing import Any
 import pytest
 
 import jaxform
-from jaxform.sweeps import engine
-from jaxform.sweeps.engine import Outcome
-from jaxform.sweeps.workers import LocalWorkers
+from jaxform.sweeps import workers
+from jaxform.sweeps.workers import LocalWorkers, Outcome
 
 ROOT = Path(__file__).parents[2]
 Task = tuple[int, str, str]
@@ -67,7 +66,7 @@ def _times(folder: Path) -> Counter[int]:
 
 def _evaluate(tasks: list[Task], workers: int = 2) -> dict[int, Outcome]:
     with LocalWorkers(workers) as executor:
-        found = list(engine.evaluate(compute, tasks, executor))
+        found = list(workers.evaluate(compute, tasks, executor))
     assert sorted(place for place, _ in found) == list(range(len(tasks)))
     return dict(found)
 
@@ -84,14 +83,14 @@ def test_what_fails_is_named_and_the_others_go_on(tmp_path: Path) -> None:
 
 def test_a_process_that_is_killed_loses_one_call_which_is_repeated_once(tmp_path: Path) -> None:
     found = _evaluate(_tasks(tmp_path, n2="die once", n5="die"))
-    assert found[5] == Outcome(engine.LOST)
+    assert found[5] == Outcome(workers.LOST)
     assert {k: one.value for k, one in found.items() if k != 5} == {k: k**2 for k in range(8) if k != 5}
     assert _times(tmp_path) == Counter({k: 2 if k in (2, 5) else 1 for k in range(8)})
 
 
 def test_with_one_worker_it_is_the_same(tmp_path: Path) -> None:
     found = _evaluate(_tasks(tmp_path, n0="die", n7="die once"), workers=1)
-    assert found[0].status == engine.LOST and found[7].value == 49
+    assert found[0].status == workers.LOST and found[7].value == 49
     assert _times(tmp_path) == Counter({k: 2 if k in (0, 7) else 1 for k in range(8)})
 
 
@@ -118,15 +117,15 @@ def test_what_is_wrong_with_all_workers_ends_the_sweep(error: Exception, words: 
             return future
 
     with pytest.raises(jaxform.InputError, match=words):
-        list(engine.evaluate(compute, _tasks(tmp_path), Broken()))
+        list(workers.evaluate(compute, _tasks(tmp_path), Broken()))
 
 
 def test_executors_of_others_do(tmp_path: Path) -> None:
     with ThreadPoolExecutor(3) as executor:
-        found = dict(engine.evaluate(compute, _tasks(tmp_path, n1="raise"), executor))
+        found = dict(workers.evaluate(compute, _tasks(tmp_path, n1="raise"), executor))
     assert found[1].status.startswith("ValueError") and found[3].value == 9
     with pytest.raises(jaxform.InputError, match="takes no more work"):
-        list(engine.evaluate(compute, _tasks(tmp_path), executor))
+        list(workers.evaluate(compute, _tasks(tmp_path), executor))
 
 
 def limits(_: int) -> list[str | None]:
@@ -137,7 +136,7 @@ def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jaxform.sweeps.workers.usable_cores", lambda: 7)
     monkeypatch.setenv("OMP_NUM_THREADS", "5")
     with LocalWorkers(3) as executor:
-        found = [outcome.value for _, outcome in engine.evaluate(limits, [0, 1], executor)]
+        found = [outcome.value for _, outcome in workers.evaluate(limits, [0, 1], executor)]
     assert found == [["2", "2", "2"]] * 2
     assert os.environ["OMP_NUM_THREADS"] == "5" and "NPROC" not in os.environ
 
@@ -145,7 +144,7 @@ def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
 _CLIENT = """
 import sys
 from tests.sweeps.test_engine import compute
-from jaxform.sweeps.engine import evaluate
+from jaxform.sweeps.workers import evaluate
 from jaxform.sweeps.workers import LocalWorkers
 if __name__ == "__main__":
     tasks = [(0, "slow", sys.argv[1]), (1, "slow", sys.argv[1])]

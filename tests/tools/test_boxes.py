@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxform.tools import crossings, folding
+from jaxform.tools import crossings, penetration
 from jaxform.tools.crossings import intersect
 
 
@@ -31,7 +31,7 @@ def test_all_that_meet_are_found_and_none_whose_boxes_are_apart(
     meet[first, second] = intersect(one[first], other[second])
     over[...] = ((one.min(1)[:, None] <= other.max(1)) & (one.max(1)[:, None] >= other.min(1))).all(2)
     found = np.zeros((80, 150), bool)
-    for pair in folding.overlapping_pairs(one, other):
+    for pair in penetration.overlapping_pairs(one, other):
         found[pair] = True
     assert meet.any() and not (meet & ~found).any() and not (found & ~over).any()
 
@@ -39,9 +39,9 @@ def test_all_that_meet_are_found_and_none_whose_boxes_are_apart(
 def test_one_that_ran_away_is_not_cut_where_the_others_are_not() -> None:
     one = _triangles(1, 20, 1.0)
     away = np.array([[[0.5, 0.5, 0.0], [1e6, 0.0, 1e6], [0.5, 0.5, 1.0]]])
-    assert {int(other) for part in folding.overlapping_pairs(one, away) for other in part[1]} == {0}
+    assert {int(other) for part in penetration.overlapping_pairs(one, away) for other in part[1]} == {0}
 
 
 def test_sets_apart_have_none() -> None:
     one = _triangles(1, 20, 1.0)
-    assert not list(folding.overlapping_pairs(one, one + 10.0))
+    assert not list(penetration.overlapping_pairs(one, one + 10.0))

@@ -11,7 +11,7 @@ from jaxform.io import scene_choices
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.outlines import Circle, OrientedRectangle
-from jaxform.tools import buck, footprint, kinds, molds, scans
+from jaxform.tools import buck, covers, footprint, kinds, molds
 
 
 def unite(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -183,9 +183,9 @@ def test_a_scan_is_closed_by_walls_and_its_holes_by_covers():
     holed = footprint.weld_mold(mold.positions, np.delete(mold.triangles, high[30:34], axis=0))
     made = scene_choices.drape(holed, None)
     assert made.holes == 1 and made.platen is not None and made.added is not None
-    found = scans.find_rims(footprint.weld_mold(mold.positions, mold.triangles))
+    found = covers.find_rims(footprint.weld_mold(mold.positions, mold.triangles))
     assert found is not None and len(found) == 1
-    walls, fans = scans.close_rims(mold, found, made.buck.view.turn, made.buck.base)
+    walls, fans = covers.close_rims(mold, found, made.buck.view.turn, made.buck.base)
     assert len(walls) == 1 and not fans
     # The walls go down to the platen from every edge of the rim.
     assert np.isclose(walls[0].positions[:, 2].max(), made.buck.base)

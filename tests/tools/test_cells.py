@@ -12,7 +12,7 @@ from benchmarks.strangers.file_molds import KINDS
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, volumes
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import cells, covers, footprint, halves, molds, opening, patches
+from jaxform.tools import covers, footprint, kinds, molds, opening, patches
 
 TURNS = [(0.0, 0.0, 0.0), (90.0, 0.0, 30.0), (25.0, -50.0, 110.0)]
 
@@ -31,10 +31,10 @@ def close_bowl(shape: Mesh) -> tuple[opening.Opening, np.ndarray, covers.Covers]
     return found, polygon, covers.cover(found, polygon, shape)
 
 
-def behind(shape: Mesh, found: opening.Opening, polygon: np.ndarray, added: Mesh | None) -> cells.CellGrid:
+def behind(shape: Mesh, found: opening.Opening, polygon: np.ndarray, added: Mesh | None) -> patches.CellGrid:
     """The cells behind a sheet, with what covers the mold."""
     whole = shape if added is None else meshes.merge([shape, added])
-    return cells.cells((whole.positions @ found.view.turn.T)[whole.triangles], polygon, found)
+    return patches.cells((whole.positions @ found.view.turn.T)[whole.triangles], polygon, found)
 
 
 @pytest.mark.parametrize("degrees", TURNS)
@@ -176,4 +176,4 @@ def test_nothing_else_is_a_bottle(name):
 
 @pytest.mark.parametrize("name", ["hollow bottle", "solid bottle", "jerry can", "tube", "cylinder buck"])
 def test_a_closed_solid_is_never_completed(name):
-    assert halves.find_completion(mold(name)) is None
+    assert kinds.find_completion(mold(name)) is None

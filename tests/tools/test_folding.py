@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxform import shapes
 from jaxform.tools.crossings import intersect
-from jaxform.tools.folding import self_intersecting_elements
+from jaxform.tools.penetration import self_intersecting_elements
 
 SHEET = shapes.rectangle(size=(2.0, 1.0), element_size=0.15)
 

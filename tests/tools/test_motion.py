@@ -19,7 +19,7 @@ from jaxform.core.errors import InputError
 from jaxform.io import output
 from jaxform.io.output import Frames
 from jaxform.io.report import stored_results
-from jaxform.prepare import window_budget
+from jaxform.prepare import planning
 from jaxform.results.result import Result, drop_unused
 from jaxform.runs.arrays import extend_knots
 
@@ -106,8 +106,8 @@ def test_a_plug_shortens_the_steps_while_it_moves_alone(
     assert scene.mold is not None
     held = np.asarray(result.wall) != 0
     np.testing.assert_allclose(np.asarray(result.positions)[held, 2].max(), RISE, atol=1e-9)
-    step, end = 1.6 * window_budget.first_step(scene), float(scene.solver.end_time)
-    moving = window_budget.tool_steps(scene.motion, scene.tables.grid, end, step)
+    step, end = 1.6 * planning.first_step(scene), float(scene.solver.end_time)
+    moving = planning.tool_steps(scene.motion, scene.tables.grid, end, step)
     # As `jaxform check` has it.
     assert int(result.steps) < most * (end / step + moving)
 

@@ -8,7 +8,7 @@ import pytest
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import molds, revolution
+from jaxform.tools import bottles, molds
 
 pytestmark = pytest.mark.quick
 
@@ -33,7 +33,7 @@ def _bottle(rotate: tuple[float, float, float], closed: bool = True, wall: float
     [((0, 0, 0), True, 0.0), ((90, 0, 0), True, 0.0), ((25, -40, 70), False, 0.0), ((180, 10, 0), True, 1e-3)],
 )
 def test_axis_and_profile_of_a_turned_bottle(rotate: tuple[float, float, float], closed: bool, wall: float) -> None:
-    found = revolution.find_revolution(_bottle(rotate, closed, wall))
+    found = bottles.find_revolution(_bottle(rotate, closed, wall))
     turn, shift = molds.rotation(np.array(rotate, float)), np.array([0.1, -0.2, 0.03])
     np.testing.assert_allclose(found.axis, turn @ [0.0, 0.0, -1.0], atol=1e-6)
     np.testing.assert_allclose(found.origin, turn @ [0.0, 0.0, 0.18] + shift, atol=1e-5)
@@ -54,19 +54,19 @@ def test_axis_and_profile_of_a_turned_bottle(rotate: tuple[float, float, float],
 def test_bodies_that_are_not_round_are_refused() -> None:
     for shape in (molds.plate(size=[0.1, 0.05]), molds.box_insert(), molds.bottle_half()):
         with pytest.raises(InputError, match="no body of revolution"):
-            revolution.find_revolution(meshes.weld(Mesh(shape.vertices, shape.triangles)))
+            bottles.find_revolution(meshes.weld(Mesh(shape.vertices, shape.triangles)))
 
 
 def test_a_cone_a_cup_and_a_box_are_no_bottles() -> None:
     cup, cone = [[0.0, 0.0], [0.03, 0.0], [0.025, 0.1], [0.0, 0.1]], [[0.0, 0.0], [0.03, 0.0], [0.0, 0.1]]
     shapes = [molds.box_insert(), *(molds.revolved(profile=profile, segments=48) for profile in (cup, cone))]
-    assert revolution.is_bottle(_bottle((30, 0, 0)))
-    assert not any(revolution.is_bottle(meshes.weld(Mesh(shape.vertices, shape.triangles))) for shape in shapes)
+    assert bottles.is_bottle(_bottle((30, 0, 0)))
+    assert not any(bottles.is_bottle(meshes.weld(Mesh(shape.vertices, shape.triangles))) for shape in shapes)
 
 
 def test_simplified_line_keeps_corners_and_its_tolerance() -> None:
     rank = np.linspace(0.0, 1.0, 101)
     line = np.stack([np.minimum(rank, 0.5), np.maximum(rank, 0.5) + 0.001 * np.sin(40.0 * rank)], axis=1)
-    kept = revolution.simplify(line, 0.003)
+    kept = bottles.simplify(line, 0.003)
     assert len(kept) < 8 and np.abs(kept - [0.5, 0.5]).sum(1).min() < 0.02
     np.testing.assert_array_equal(kept[[0, -1]], line[[0, -1]])

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 import jaxform
 from jaxform.mesh import shapes
-from jaxform.tools import distances, folding, molds, search
+from jaxform.tools import distances, molds, search
 from jaxform.tools.molds import MoldShape
-from jaxform.tools.penetration import penetration
+from jaxform.tools.penetration import penetration, self_intersecting_elements
 from jaxform.tools.search import CLASSES, build_grid, cell_of
 
 Array = NDArray[np.float64]
@@ -114,7 +114,7 @@ def test_of_a_sheet_that_burst_the_largest_elements_are_not_compared_and_counted
     found = penetration(burst, triangles, none, mold)
     assert 0 < found.unmeasured < len(triangles)
     asked = np.arange(len(triangles))
-    every = folding.self_intersecting_elements(burst, triangles, asked)
+    every = self_intersecting_elements(burst, triangles, asked)
     assert len(every) > 350
-    monkeypatch.setattr(folding, "_MOST_PAIRS", 1000)
-    np.testing.assert_array_equal(folding.self_intersecting_elements(burst, triangles, asked), every[every < 300])
+    monkeypatch.setattr("jaxform.tools.penetration._MOST_PAIRS", 1000)
+    np.testing.assert_array_equal(self_intersecting_elements(burst, triangles, asked), every[every < 300])

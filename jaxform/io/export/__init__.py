@@ -6,15 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from jaxform.core.disk import atomic_path
-from jaxform.io.export import formats
+from jaxform.io.export import wall
 from jaxform.io.export.wall import WallSurface, mirror, read_wall
 
 FORMATS: dict[str, tuple[str, Callable[[Path, WallSurface], None]]] = {
-    "abaqus": (".inp", formats.write_abaqus),
-    "calculix": (".inp", formats.write_calculix),
-    "radioss": (".rad", formats.write_radioss),
-    "vtu": (".vtu", formats.write_vtu),
-    "csv": (".csv", formats.write_csv),
+    "abaqus": (".inp", wall.write_abaqus),
+    "calculix": (".inp", wall.write_calculix),
+    "radioss": (".rad", wall.write_radioss),
+    "vtu": (".vtu", wall.write_vtu),
+    "csv": (".csv", wall.write_csv),
 }
 """The ending of files and the function that writes a wall to a path, by the name of the format in `export --to`."""
 

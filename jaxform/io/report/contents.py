@@ -18,7 +18,7 @@ from jaxform.io.surfaces import color_range, counted_elements
 from jaxform.mesh.meshes import Mesh
 
 if TYPE_CHECKING:
-    from jaxform.tools.motion import Motion
+    from jaxform.tools.mold import Motion
 
 Array = NDArray[np.float64]
 

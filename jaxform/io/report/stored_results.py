@@ -21,7 +21,7 @@ from jaxform.io.previous_results import AGAIN
 from jaxform.mesh import meshes
 
 if TYPE_CHECKING:
-    from jaxform.tools.motion import Motion
+    from jaxform.tools.mold import Motion
 
 Array = NDArray[np.float64]
 
@@ -232,7 +232,7 @@ def _motion(table: Any) -> Motion | None:
         numbers = table.get("motion") or {key: table[key] for key in _MOTION if key in table}
         if not numbers:
             return None
-        from jaxform.tools.motion import make_motion  # with JAX, which takes a second to import
+        from jaxform.tools.mold import make_motion  # with JAX, which takes a second to import
 
         return make_motion(**numbers)
     except (InputError, AttributeError, TypeError):

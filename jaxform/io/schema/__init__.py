@@ -68,13 +68,14 @@ from jaxform.io.schema.study import (
     ScaleTable,
     StudyFile,
     SweepFile,
+    SweepTable,
+    SweepVariableTable,
     TargetTable,
     ThicknessFieldTable,
     ThicknessProfileTable,
     UniformTable,
     Variable,
 )
-from jaxform.io.schema.sweep import SweepTable, SweepVariableTable
 
 __all__ = [
     "Adam",

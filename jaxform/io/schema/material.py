@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, PlainValidator, SerializeAsAny, Tag, create_model, model_validator
 
-from jaxform.core.parameters import file_defaults, list_parameter_names, parameter_ranges
+from jaxform.core.pytree import file_defaults, list_parameter_names, parameter_ranges
 from jaxform.io.schema.quantities import Zoned
 from jaxform.io.validation import (
     Table,

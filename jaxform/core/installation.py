@@ -1,4 +1,4 @@
-"""Number of processor cores to use: of the machine, or this process's share of it among the workers of a sweep."""
+"""The installed version of jaxform, and the number of processor cores to use."""
 
 from __future__ import annotations
 
@@ -14,3 +14,18 @@ def usable_cores() -> int:
     if share.isdecimal() and int(share) > 0:
         return int(share)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+# The installed version.
+
+UNKNOWN = "of unknown version"
+
+
+def version() -> str:
+    """The version, as the installed package tells it."""
+    from importlib import metadata  # takes a hundredth of a second, and few commands need it
+
+    try:
+        return metadata.version("jaxform")
+    except metadata.PackageNotFoundError:  # on the path without being installed
+        return UNKNOWN
