@@ -1,6 +1,6 @@
 """Loadings of the sheet, one file each; `loading.py` says how another is added."""
 
-from jaxform.loads.gas import Gas, make_gas
+from jaxform.loads.gas import Gas, TwoSidedLoad, list_gases, make_gas, make_two_sided_load
 from jaxform.loads.loading import (
     Interval,
     Loading,
@@ -11,7 +11,6 @@ from jaxform.loads.loading import (
     make_pressure,
     next_pressure,
 )
-from jaxform.loads.two_sided import TwoSidedLoad, list_gases, make_two_sided_load
 
 GasSupply, make_gas_supply = Gas, make_gas  # older names of the same, kept for scripts
 

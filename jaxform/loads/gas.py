@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+import dataclasses
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,6 @@ from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_real, ranged_parameter, static
 from jaxform.core.ranges import RANGES, Range, as_numbers, check
 from jaxform.loads.loading import Interval, Loading, loading
-from jaxform.loads.orifice import mean_decay, orifice_flow
 
 _CLOSED_BY = ("clamp", "mold")
 
@@ -304,3 +304,122 @@ def _at_each(key: str, given: ArrayLike, count: int) -> np.ndarray:
         problem = f"has {values.size} values for {count} times, which do not match"
         raise InputError(problem, "give one per time, or one number", key)
     return np.broadcast_to(values, (count,))
+
+
+# The flow of a gas through an orifice, such as a valve or a vent.
+
+_LAMINAR = 2e-3
+"""Relative pressure difference below which the flow is smooth in it: an isentropic flow has an infinite slope at 0."""
+_FEW = 1e-3  # share of a relaxation time below which its exponential is a series
+
+
+def orifice_flow(
+    outside: jax.Array,
+    inside: jax.Array,
+    discharge_coefficient: jax.Array,
+    specific_energy: jax.Array,
+    heat_capacity_ratio: jax.Array,
+) -> jax.Array:
+    """Mass flow [kg/s] per area [m^2] from one absolute pressure to another [Pa], below 0 where it flows back.
+
+    Isentropic [1]: with the pressures p1 > p2 it is C p1 / sqrt(R T) sqrt(2 k / (k - 1) (r^(2 / k) - r^((k + 1) / k)))
+    with r = p2 / p1, not less than the critical ratio (2 / (k + 1))^(k / (k - 1)), where it is choked.
+
+    [1] A. H. Shapiro, The Dynamics and Thermodynamics of Compressible Fluid Flow, vol. 1, 1953, chapter 4.
+
+    Args:
+        outside: The one pressure.
+        inside: The other one.
+        discharge_coefficient: C.
+        specific_energy: R T [J/kg] of the gas where the pressure is higher.
+        heat_capacity_ratio: k.
+    """
+    higher = jnp.maximum(outside, inside)
+    factor = discharge_coefficient * higher / jnp.sqrt(specific_energy)
+    return factor * _flow_function((outside - inside) / higher, heat_capacity_ratio)
+
+
+def _flow_function(drop: jax.Array, k: jax.Array) -> jax.Array:
+    """The flow function of the relative pressure drop; below `_LAMINAR` a cubic with its value and slope there."""
+    choked = 1.0 - (2.0 / (k + 1.0)) ** (k / (k - 1.0))
+
+    def isentropic(drop: jax.Array) -> jax.Array:
+        ratio = 1.0 - drop
+        return jnp.sqrt(2.0 * k / (k - 1.0) * (ratio ** (2.0 / k) - ratio ** ((k + 1.0) / k)))
+
+    first = jnp.full_like(drop, _LAMINAR)
+    value, slope = jax.jvp(isentropic, (first,), (jnp.ones_like(first),))
+    bend, share = 0.5 * (slope * _LAMINAR - value), drop / _LAMINAR
+    laminar, size = share * (value - bend + bend * share**2), jnp.abs(drop)
+    return jnp.where(size < _LAMINAR, laminar, jnp.sign(drop) * isentropic(jnp.clip(size, _LAMINAR, choked)))
+
+
+def mean_decay(rate: jax.Array) -> jax.Array:
+    """The mean of exp(-rate s) over s from 0 to 1."""
+    small = jnp.abs(rate) < _FEW
+    usual = jnp.where(small, 1.0, rate)
+    return jnp.where(small, 1.0 - rate / 2.0 + rate**2 / 6.0, -jnp.expm1(-usual) / usual)
+
+
+# Loads on both sides of the sheet: a pressure or a gas inside it, and the gas between it and the mold.
+
+
+@loading
+class TwoSidedLoad(Loading):
+    """A pressure history or a gas inside the sheet, and a gas on its other side, trapped in the mold.
+
+    The pressure on the sheet is their difference. Numbers of the two have the paths `pressure.inside.value` and
+    `pressure.trapped.vent_area`.
+
+    Attributes:
+        inside: The load inside the sheet.
+        trapped: The gas between the sheet and the mold, closed by the mold.
+    """
+
+    follows_volume: ClassVar[bool] = True
+
+    inside: Loading = dataclasses.field(metadata={"part": True})
+    trapped: Gas = dataclasses.field(metadata={"part": True})
+
+    def start(self, volume: jax.Array) -> Any:
+        """The states of the two."""
+        return self.inside.start(volume), self.trapped.start(volume)
+
+    def after(self, state: Any, interval: Interval) -> Any:
+        """The states of the two at the end of an interval."""
+        inside, trapped = state
+        inside = None if inside is None else self.inside.after(inside, interval)
+        return inside, self.trapped.after(trapped, interval)
+
+    def at(self, time: jax.Array, volume: jax.Array, state: Any) -> jax.Array:
+        """Difference of the pressures [Pa]."""
+        inside, trapped = state
+        pushed = self.inside.at(time, volume, *(() if inside is None else (inside,)))
+        return pushed + self.trapped.at(time, volume, trapped)
+
+    def pushes(self, end_time: float, volume: float) -> np.ndarray:
+        """The pressures [Pa] inside."""
+        return self.inside.pushes(end_time, volume)
+
+
+def make_two_sided_load(inside: Loading, trapped: Gas) -> TwoSidedLoad:
+    """A load inside the sheet and the gas that it traps in the mold; see `TwoSidedLoad`.
+
+    Raises:
+        InputError: The second is no gas that is closed by the mold, or the first is one.
+    """
+    if not isinstance(trapped, Gas) or trapped.closed_by != "mold":
+        raise InputError("is no gas closed by the mold", 'use make_gas(..., closed_by="mold")', "pressure.trapped")
+    if (
+        not isinstance(inside, Loading)
+        or isinstance(inside, TwoSidedLoad)
+        or getattr(inside, "closed_by", "") == "mold"
+    ):
+        raise InputError("is no load inside the sheet", "use make_pressure or make_gas", "pressure.inside")
+    return TwoSidedLoad(inside, trapped)
+
+
+def list_gases(load: Loading) -> list[Gas]:
+    """The gases of a load."""
+    parts = (load.inside, load.trapped) if isinstance(load, TwoSidedLoad) else (load,)
+    return [part for part in parts if isinstance(part, Gas)]
