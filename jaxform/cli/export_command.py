@@ -145,9 +145,9 @@ def _plane(text: str, wall: WallSurface) -> tuple[int, float]:
 
 
 def _tell(arguments: argparse.Namespace, wall: WallSurface, said: list[str], path: Path) -> None:
-    from jaxform.io.export import wall
+    from jaxform.io.export.wall import head
 
     if arguments.quiet:
         return
-    for line in [*said, wall.head(wall)[-1], f"written to {path}"]:
+    for line in [*said, head(wall)[-1], f"written to {path}"]:
         session.say(line)

@@ -12,7 +12,7 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.rows import positions_in_rows
 from jaxform.tools import opening
 from jaxform.tools.opening import FINE, FLAT, Heights, Opening
-from jaxform.tools.patches import close_sides
+from jaxform.tools.patches import cells, close_sides
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -60,7 +60,7 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
         opening.view_heights(opening.make_viewed_surface(closed.positions, closed.triangles), np.eye(3), FINE), polygon
     )
     closed = meshes.merge([closed, *patches])
-    behind = patches.cells(closed.positions[closed.triangles], polygon, found)
+    behind = cells(closed.positions[closed.triangles], polygon, found)
     sides = [] if found.male else close_sides(behind, closed)
     parts = [*fans, *curtain, *patches, *sides]
     if not parts:

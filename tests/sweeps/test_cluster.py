@@ -110,7 +110,7 @@ def test_workers_with_another_jaxform_or_none_are_named(address: str, monkeypatc
         workers.DaskWorkers(Bare())
     del Bare.answers["tcp://a:1"]
     workers.DaskWorkers(Bare())  # what does not answer has just ended
-    monkeypatch.setattr(workers.release, "version", lambda: "9.9")
+    monkeypatch.setattr(workers.installation, "version", lambda: "9.9")
     with pytest.raises(jaxform.InputError, match=r"with jaxform [\d.]+, and this process has jaxform 9\.9; install"):
         workers.connect(address)
 

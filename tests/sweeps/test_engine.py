@@ -16,7 +16,7 @@ import pytest
 
 import jaxform
 from jaxform.sweeps import workers
-from jaxform.sweeps.workers import LocalWorkers, Outcome
+from jaxform.sweeps.workers import LocalWorkers, Outcome, evaluate
 
 ROOT = Path(__file__).parents[2]
 Task = tuple[int, str, str]
@@ -66,7 +66,7 @@ def _times(folder: Path) -> Counter[int]:
 
 def _evaluate(tasks: list[Task], workers: int = 2) -> dict[int, Outcome]:
     with LocalWorkers(workers) as executor:
-        found = list(workers.evaluate(compute, tasks, executor))
+        found = list(evaluate(compute, tasks, executor))
     assert sorted(place for place, _ in found) == list(range(len(tasks)))
     return dict(found)
 
@@ -117,15 +117,15 @@ def test_what_is_wrong_with_all_workers_ends_the_sweep(error: Exception, words: 
             return future
 
     with pytest.raises(jaxform.InputError, match=words):
-        list(workers.evaluate(compute, _tasks(tmp_path), Broken()))
+        list(evaluate(compute, _tasks(tmp_path), Broken()))
 
 
 def test_executors_of_others_do(tmp_path: Path) -> None:
     with ThreadPoolExecutor(3) as executor:
-        found = dict(workers.evaluate(compute, _tasks(tmp_path, n1="raise"), executor))
+        found = dict(evaluate(compute, _tasks(tmp_path, n1="raise"), executor))
     assert found[1].status.startswith("ValueError") and found[3].value == 9
     with pytest.raises(jaxform.InputError, match="takes no more work"):
-        list(workers.evaluate(compute, _tasks(tmp_path), executor))
+        list(evaluate(compute, _tasks(tmp_path), executor))
 
 
 def limits(_: int) -> list[str | None]:
@@ -136,7 +136,7 @@ def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jaxform.sweeps.workers.usable_cores", lambda: 7)
     monkeypatch.setenv("OMP_NUM_THREADS", "5")
     with LocalWorkers(3) as executor:
-        found = [outcome.value for _, outcome in workers.evaluate(limits, [0, 1], executor)]
+        found = [outcome.value for _, outcome in evaluate(limits, [0, 1], executor)]
     assert found == [["2", "2", "2"]] * 2
     assert os.environ["OMP_NUM_THREADS"] == "5" and "NPROC" not in os.environ
 
@@ -144,8 +144,7 @@ def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
 _CLIENT = """
 import sys
 from tests.sweeps.test_engine import compute
-from jaxform.sweeps.workers import evaluate
-from jaxform.sweeps.workers import LocalWorkers
+from jaxform.sweeps.workers import LocalWorkers, evaluate
 if __name__ == "__main__":
     tasks = [(0, "slow", sys.argv[1]), (1, "slow", sys.argv[1])]
     with LocalWorkers(2) as executor:
