@@ -38,9 +38,9 @@ def _cases(found: Found, folder: Path) -> str:
         "## Against solutions that owe nothing to it\n",
         "Discs, spheres, cups and the cone are compared with solutions of the equations along the meridian; the square "
         "and the rectangle with polynomials of high degree that make the energy stationary "
-        "(benchmarks/accuracy/membranes.py). "
-        "Nodal thickness is compared by the root of the mean square over the material, in cups without the "
-        "last 2 % of arc on both sides of the corner, which fills at infinite pressure only.\n",
+        "(benchmarks/accuracy/membranes.py). Thickness is compared by the root of the mean square over the material. "
+        "The wall of a cup is compared with the exact one at the pressure reached (benchmarks/accuracy/cups.py), with "
+        "nothing cut: the corner is open there, and the wall thinnest beside it.\n",
         "![Error over element size](convergence.png)\n",
     ]
     for name, case in found.items():

@@ -140,7 +140,7 @@ def _call_mmg(
     mesh.set_field("metric", size[:, None])
     extent = float(np.ptp(sheet.positions, axis=0).max())
     angle = {} if flat else {"ar": _SMOOTH}
-    mesh.remesh(
+    options = dict(
         hmin=0.5 * float(size.min()),
         hmax=2.0 * float(size.max()),
         hgrad=_GRADATION,
@@ -148,6 +148,11 @@ def _call_mmg(
         verbose=-1,
         **angle,
     )
+    try:
+        mesh.remesh(**options)
+    except RuntimeError as error:
+        problem = f"Mmg cannot mesh the sheet ({error})"
+        raise InputError(problem, "begin with another mesh", "parison.adapt") from None
     points, triangles = np.asarray(mesh.get_vertices(), float), np.asarray(mesh.get_triangles(), np.int64)
     edges, references = mesh.get_edges_with_refs() if len(edge) else (np.zeros((0, 2)), np.zeros(0))
     if flat:

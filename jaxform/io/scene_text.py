@@ -22,6 +22,9 @@ from jaxform.tools.plugs import WIDTH
 COVERS, IMAGES, PLATEN, PLUG = "covers.stl", "images.stl", "platen.stl", "plug.stl"
 """Names of the files of a mold's covers, of the images that complete a cut mold, of a buck's platen and of a plug."""
 
+ADAPT = "# adapt = { elements = 2500 }  # elements where the wall needs them, found by two runs; pip install mmgpy"
+"""What a new scene says of adapted meshes."""
+
 _CONTENT = {
     COVERS: "the covers of the mold's holes",
     IMAGES: "the images that complete the mold",
@@ -133,6 +136,7 @@ def _parison(made: Draft) -> list[str]:
         "[parison]",
         *shape_lines,
         f"element_size = {_number(made.element_size)}",
+        *([] if made.levels else [ADAPT]),
         f"thickness = {_number(made.thickness)}  # a guess from the width of the sheet: give yours",
     ]
 

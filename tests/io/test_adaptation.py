@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
 import jax
@@ -111,6 +112,13 @@ def test_a_best_design_keeps_the_mesh_that_it_was_found_on(tmp_path: Path) -> No
 def test_bad_values_are_refused(tmp_path: Path, adapt: str, rest: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         files.build(files.read_scene(_write(tmp_path, adapt, rest=rest)))
+
+
+def test_without_mmg_it_is_said_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    document = files.read_scene(_write(tmp_path, "adapt = { elements = 321 }", elements=60))
+    monkeypatch.setitem(sys.modules, "mmgpy", None)
+    with pytest.raises(InputError, match=r"parison\.adapt: needs Mmg, which is not installed; pip install mmgpy"):
+        files.build(document)
 
 
 def test_a_mesh_of_another_sheet_is_refused(tmp_path: Path) -> None:
