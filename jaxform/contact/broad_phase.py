@@ -203,6 +203,27 @@ class CandidateLists:
 
 
 @pytree
+class NearSides:
+    """Pairs of a side and a sharp edge of one surface that can meet, while nodes stay in their spheres.
+
+    Attributes:
+        ends: Places of the side's ends (2, room).
+        edge: Numbers of the edges (room,).
+        count: Number of pairs.
+        center: Centers of the spheres (3, n_node) [m], in the frame of the tool.
+        square: Their radii, squared (n_node,) [m^2]; infinite for nodes that stick.
+        overflow: Whether pairs were lost.
+    """
+
+    ends: jax.Array
+    edge: jax.Array
+    count: jax.Array
+    center: jax.Array
+    square: jax.Array
+    overflow: jax.Array
+
+
+@pytree
 class Candidates:
     """A candidate list, valid until a node is about to leave its sphere; undefined beyond the node blocks in use.
 
@@ -217,6 +238,7 @@ class Candidates:
         alarm_square: Square of the distance (n_node,) [m^2] from the center at which another list is made.
         unwatched_square: The same, less the distance that any node moves between two checks.
         overflow: Whether pairs were lost, so that the list must not be used.
+        sides: Sides that can meet sharp edges of the surface; None where it has none.
     """
 
     lists: CandidateLists
@@ -229,6 +251,7 @@ class Candidates:
     alarm_square: jax.Array
     unwatched_square: jax.Array
     overflow: jax.Array
+    sides: NearSides | None = None
 
 
 def allocate_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_NODE) -> CandidateLists:

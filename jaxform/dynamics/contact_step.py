@@ -27,6 +27,7 @@ from jaxform.contact.broad_phase import (
     may_have_missed,
     no_active_pairs,
 )
+from jaxform.dynamics.edge_step import replay_sides, search_sides
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once, materialize, over_blocks
 from jaxform.model.scene import Scene
@@ -107,12 +108,13 @@ def search_contact(
     due, mass = [blocks for blocks, _ in found], _masses(scene, now)
     landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, known, moved.hits)
     missed = functools.reduce(operator.or_, [missed for _, missed in moved.last_checks])
-    return dataclasses.replace(
+    landed = dataclasses.replace(
         _apply_landing(moved, landing),
         hits=met,
         halted=moved.halted | missed | (moved.count >= now.max_count),
         stale=functools.reduce(operator.or_, [leaving for _, leaving in found]),
     )
+    return landed if moved.held is None else search_sides(moved, landed, length, candidates, scene, now, frames)
 
 
 def replay_contact(
@@ -132,8 +134,10 @@ def replay_contact(
         touching = jnp.where(this.number < known.count, known.record[this.number], -1)
         chosen = jnp.where(moved.nodes.stuck, -1, touching)
     mass = _masses(scene, now)
-    moved = _apply_landing(moved, sticking.apply_known_contact(flying, this, chosen, mass, scene.surfaces))
-    return dataclasses.replace(moved, halted=moved.halted | (moved.count >= known.count))
+    landed = _apply_landing(moved, sticking.apply_known_contact(flying, this, chosen, mass, scene.surfaces))
+    if known.sides is not None:
+        landed = replay_sides(moved, landed, length, known.sides, scene, frames)
+    return dataclasses.replace(landed, halted=moved.halted | (moved.count >= known.count))
 
 
 def _masses(scene: Scene, now: WindowData) -> tuple[jax.Array, jax.Array | None]:

@@ -16,6 +16,7 @@ from jaxform.contact.broad_phase import Candidates
 from jaxform.contact.facet_slip import KnownFacets, find_facets, slide_within_facets
 from jaxform.contact.sliding import ContactLosses, LyingNodes, lying_nodes, slide_nodes
 from jaxform.dynamics.contact_step import check_free_flight, replay_contact, search_contact, update_broad_phase
+from jaxform.dynamics.edge_step import hold_sides_at_edges
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
 from jaxform.kernels.blocks import (
     entry,
@@ -113,6 +114,8 @@ def step(
         room=taken.room,
         facets=None if taken.slid is None else taken.slid.facets,
     )
+    if moving.held is not None and contact is not None:
+        moved = hold_sides_at_edges(moving, moved, (kick, length), scene, now, frames)
     if isinstance(contact, KnownContact):
         moved = replay_contact(moved, length, scene, contact, now, frames)
     elif contact is not None:

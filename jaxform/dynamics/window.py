@@ -19,8 +19,10 @@ import jax.numpy as jnp
 from jaxform.contact import sticking
 from jaxform.contact.broad_phase import CandidateLists, Candidates, allocate_lists, initial_check
 from jaxform.contact.candidates import list_candidates
+from jaxform.contact.edge_contact import KnownSides
 from jaxform.contact.facet_slip import begin_facets
 from jaxform.dynamics.contact_step import any_missed, to_tool_frame
+from jaxform.dynamics.edge_step import list_sides
 from jaxform.dynamics.step import finalize_history, step
 from jaxform.dynamics.timestep import (
     RUNGS_PER_OCTAVE,
@@ -233,9 +235,16 @@ def _replay_steps(
     if scene.surfaces:
         found, searched, _ = _advance(*jax.lax.stop_gradient((state, scene, now, steps)), None, False, scene.slides)
         chosen = sticking.encode_landing(found.nodes.wall, found.nodes.tool, scene.surfaces)
-        landings = KnownContact(found.landing_step, chosen, found.count, found.record)
+        held = found.held
+        sides = None if held is None else KnownSides(held.ends, held.edge, held.step)
+        landings = KnownContact(found.landing_step, chosen, found.count, found.record, sides)
         known, searched = save_decision((landings, searched))
         moving = dataclasses.replace(moving, halted=known.count == 0)
+        if moving.held is not None and held is not None and known.sides is not None:
+            count = jax.lax.stop_gradient(held.count)
+            moving = dataclasses.replace(
+                moving, held=dataclasses.replace(moving.held, **known.sides._asdict(), count=count)
+            )
     moving = _scan_in_chunks(lambda moving, own: (step(moving, own, scene, now, known), None), moving, steps)
     return moving, searched
 
@@ -302,6 +311,7 @@ def _begin_window(
         hits=sticking.no_hits(places, positions.dtype) if searches else None,
         record=jnp.full((scene.tables.window_room, places), -1, jnp.int32) if recorded else None,
         facets=begin_facets(state.nodes, now.active.compliance, scene.surfaces) if scene.slides and searches else None,
+        held=None if state.held is None else state.held.at(now.active.packed.place),
     )
 
 
@@ -326,7 +336,7 @@ def _list_candidates(
     """Candidates for the remaining steps of a window, of one surface."""
     places = to_tool_frame(moving, scene, now, number)
     (positions, velocities), grid = jax.lax.stop_gradient((places, scene.surfaces[number].grid))
-    return list_candidates(
+    listed = list_candidates(
         jnp.stack(positions),
         velocities,
         ~moving.nodes.stuck,
@@ -337,6 +347,7 @@ def _list_candidates(
         into,
         now.active.packed.elements.node_block_count,
     )
+    return list_sides(listed, moving, scene, now, number) if scene.tables.edges else listed
 
 
 def _allocate_lists(scene: Scene, positions: jax.Array) -> _Lists:

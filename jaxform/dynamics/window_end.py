@@ -49,6 +49,7 @@ def end_window(
         state,
         nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
         memory=moving.memory,
+        held=None if moving.held is None else moving.held.at(now.active.packed.node),
         account=dataclasses.replace(
             account,
             peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),

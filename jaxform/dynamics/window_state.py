@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from jaxform.adapt.remeshing import initial_mesh
 from jaxform.contact.broad_phase import BroadPhaseCheck
+from jaxform.contact.edge_contact import HeldSides, KnownSides, no_held_sides
 from jaxform.contact.facet_slip import KnownFacets
 from jaxform.contact.sticking import FirstHits
 from jaxform.core.pytree import as_real, pytree
@@ -43,7 +44,8 @@ class WindowState:
     not kept.
     Whether another list of candidates is due, the last check of each surface, and the workspace for hits are None where
     contact is not searched for; the room for corner forces is None where derivatives are taken. The record is that of
-    `sticking.Landing`. The facets that nodes lie on are kept where they may slide and no derivative is taken.
+    `sticking.Landing`. The facets that nodes lie on are kept where they may slide and no derivative is taken. The sides
+    that are held at edges of tools are None where none can be.
     """
 
     nodes: Nodes
@@ -60,6 +62,7 @@ class WindowState:
     hits: FirstHits | None
     record: jax.Array | None = None
     facets: KnownFacets | None = None
+    held: HeldSides | None = None
 
     @property
     def last_checks(self) -> tuple[BroadPhaseCheck, ...]:
@@ -101,13 +104,15 @@ class KnownContact(NamedTuple):
     """Known contact of a window whose steps are recomputed, in packed order.
 
     The step in which each node landed (place,), NEVER where it did not, and on which triangle of all surfaces; and how
-    many steps were taken. Where nodes may land more than once, the record of all landings instead.
+    many steps were taken. Where nodes may land more than once, the record of all landings instead. The sides that are
+    held at the window's end, where any can be.
     """
 
     step: jax.Array
     chosen: jax.Array
     count: jax.Array
     record: jax.Array | None = None
+    sides: KnownSides | None = None
 
 
 ContactSearch = tuple[jax.Array, jax.Array, jax.Array]
@@ -195,6 +200,7 @@ def initial_state(scene: Scene) -> State:
         shortened=none,
         status=none,
         heat=heat,
+        held=no_held_sides(positions.shape[1], positions.dtype) if scene.tables.edges else None,
     )
     if scene.parison.pre_stretch is None:
         return state

@@ -205,6 +205,7 @@ def build_unchecked(document: SceneDocument, store: Store | None = None, sheet: 
                 safety=solver.safety,
                 quasi_static=solver.quasi_static,
                 self_contact=solver.self_contact,
+                edge_contact=solver.edge_contact,
                 max_steps=solver.max_steps,
             ),
             mold=find_mold(),

@@ -17,7 +17,7 @@ _ROOTS, _ADDED = 24, 14 * BLOCK  # of a mesh that is refined: elements at first,
 _RIM = 1.5  # of the root of the elements' number: half the nodes at the rim of a sheet about as wide as it is long
 _PAIRS = 9 / 16  # of the elements: few are left over
 _SPILL, _KNOTS, _WINDOWS, _RECORDED = BLOCK, 16, 256, 512
-_RIM_EDGES = 64
+_RIM_EDGES, _SHARP_EDGES = 64, 32
 _ROWS = 4, 6, 16  # of an assembly's table
 # What is only looked up takes memory, but no time: few buckets, far apart.
 _MOLD, _CELLS, _LISTED, _BEND, _FAR_APART = 4096, 49_152, 196_608, 500_000, 4.0
@@ -109,6 +109,11 @@ def rim_edge_capacity(count: int) -> int:
 def mold_triangle_capacity(count: int) -> int:
     """Capacity for the triangles of a mold."""
     return bucket_size(count, _MOLD, _FAR_APART)
+
+
+def sharp_edge_capacity(count: int) -> int:
+    """Capacity for the sharp edges of a mold; none where it has none."""
+    return 0 if count == 0 else bucket_size(count, _SHARP_EDGES)
 
 
 def cell_capacity(count: int) -> int:

@@ -76,6 +76,7 @@ class Solver:
         quasi_static: Whether the process is meant to be slow; there is a warning if inertia or damping affects the
             wall.
         self_contact: Whether films stick to each other that meet back to back in a fold, a web.
+        edge_contact: Whether sides of elements are held at sharp edges of tools that they would pass between two nodes.
         max_steps: Largest number of steps of `run`.
     """
 
@@ -89,6 +90,7 @@ class Solver:
     sharp_step: bool = static(default=True)
     quasi_static: bool = static(default=False)
     self_contact: bool = static(default=False)
+    edge_contact: bool = static(default=False)
     max_steps: int = static(default=MOST_STEPS)
 
 
@@ -283,6 +285,7 @@ class Scene:
             "the mold moves": self.motion is not None,
             "nodes slide on the mold": self.mold is not None and not self.mold.contact.sticks,
             "it has tools besides the mold": bool(self.tools),
+            "sides are held at edges of its tools": bool(self.tables.edges),
         }
         return [reason for reason, holds in parts.items() if holds]
 
@@ -377,6 +380,7 @@ def make_solver(
     safety: float = 0.9,
     quasi_static: bool = False,
     self_contact: bool = False,
+    edge_contact: bool = False,
     max_steps: int = MOST_STEPS,
 ) -> Solver:
     """Options of the time integration; see `Solver`.
@@ -401,6 +405,7 @@ def make_solver(
         safety=as_real(safety),
         quasi_static=bool(quasi_static),
         self_contact=bool(self_contact),
+        edge_contact=bool(edge_contact),
         max_steps=int(max_steps),
     )
 

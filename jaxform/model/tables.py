@@ -183,6 +183,8 @@ class Precomputed:
         tool_grids: Those of the other tools.
         neighbors: Of the mold and the tools in their order, the triangles (n_triangle, 3) beside each side of a
             triangle, signed and counted from 1 as in `State.wall`; empty where all of them stick.
+        edges: Of the mold and the tools in their order, the sharp edges (4, n_edge) at which sides of elements are
+            held: the vertices at their ends, then the third corner of both faces. Empty where sides are not held.
         initial_tool: The number (n_node,) of the surface that nodes touch at the start; None with a single surface.
         forest: Hierarchy that the mesh can be refined to, or None.
         initial_contact: Mold triangles (n_node,) that nodes touch at the start of a run, signed as in `State.wall`;
@@ -216,3 +218,4 @@ class Precomputed:
     tool_grids: tuple[SearchGrid, ...] = ()
     neighbors: tuple[jax.Array, ...] = ()
     initial_tool: jax.Array | None = None
+    edges: tuple[jax.Array, ...] = ()

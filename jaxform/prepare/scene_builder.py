@@ -40,6 +40,7 @@ from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.packing import make_assembly, make_paired_assembly
 from jaxform.tools.mold import Mold, Motion
 from jaxform.tools.search import SearchGrid, build_grid
+from jaxform.tools.sharp_edges import sharp_edges
 from jaxform.tools.surface_walk import ContactSurface, connected_parts, signed_neighbors
 
 # Rims that can move, along which the enclosed volume is not all that the sheet sweeps; on the host.
@@ -134,6 +135,9 @@ def build_scene(
     tools = component_validation.validate_tools([cast_to_precision(tool) for tool in tools])
     tools = [component_validation.set_behind_plane(tool, parison) for tool in tools]
     surfaces = [*([] if mold is None else [mold]), *tools]
+    if solver.edge_contact and refinement is not None:
+        problem = "cannot be combined with a mesh that is refined during the run"
+        raise InputError(problem, "leave [refinement] out, or edge_contact", "solver.edge_contact", True)
     check_part(part, None if mold is None else len(mold.triangles), [len(tool.triangles) for tool in tools])
     pressure, count = component_validation.validate_loading(pressure), len(parison.positions)
     component_validation.check_weight(solver, refinement)
@@ -224,6 +228,7 @@ def build_scene(
         rim=rim,
         tool_grids=tuple(grids[len(grids) - len(tools) :]),
         neighbors=_neighbors(surfaces),
+        edges=_sharp_edges(surfaces, solver),
         initial_tool=None if in_contact is None or len(surfaces) == 1 else as_index(in_contact[1]),
     )
     return Scene(
@@ -268,6 +273,18 @@ def _neighbors(surfaces: list[Mold]) -> tuple[jax.Array, ...]:
     if all(surface.contact.sticks for surface in surfaces):
         return ()
     return tuple(as_index(_neighbor_table(np.asarray(surface.triangles))) for surface in surfaces)
+
+
+def _sharp_edges(surfaces: list[Mold], solver: Solver) -> tuple[jax.Array, ...]:
+    """The sharp edges of each surface at which sides are held; empty where they are not, or there are none."""
+    if not solver.edge_contact:
+        return ()
+    none = np.zeros((4, 0), np.int32)
+    found = [
+        sharp_edges(np.asarray(surface.vertices), np.asarray(surface.triangles)) if surface.contact.sticks else none
+        for surface in surfaces
+    ]
+    return tuple(map(as_index, found)) if any(edges.size for edges in found) else ()
 
 
 def _neighbor_table(triangles: np.ndarray) -> np.ndarray:

@@ -144,7 +144,7 @@ def warnings_of_part(result: Result, scene: Scene) -> list[str]:
 
 
 def _warnings_of_no_contact(result: Result, scene: Scene) -> list[str]:
-    if scene.mold is None:
+    if scene.mold is None or (result.held_sides is not None and int(result.held_sides)):
         return []
     initial, active = np.asarray(scene.parison.positions, float), np.asarray(result.active)
     moved = np.linalg.norm(np.asarray(result.positions, float) - initial, axis=1)

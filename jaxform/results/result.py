@@ -178,6 +178,7 @@ class Result:
             nodes may slide and `run` recorded them.
         contact_periods: When nodes first came into contact with each surface, and the last of these times at which one
             was (n_surface, 2) [s]; NaN for never, None where `contacts` is.
+        held_sides: Number of places where a side of an element is held at an edge of a tool; None where none can be.
         out_of_range: Numbers of the scene out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 if none. None for `run`, which refuses them.
     """
@@ -216,6 +217,7 @@ class Result:
     out_of_range: jax.Array | None = None
     temperature: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
     tool_wall: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
+    held_sides: jax.Array | None = None
 
     def __repr__(self) -> str:
         """The size of the mesh, the time and steps simulated and the status, in one line."""
@@ -283,6 +285,7 @@ def make_result(
         contact_time=nodes.contact_time,
         wall=_wall_of_mold(nodes, scene),
         tool_wall=_wall_of_tools(nodes, scene),
+        held_sides=None if state.held is None else state.held.count,
         tool=_touched_tool(nodes),
         fields=nodes.fields,
         triangles=triangles.T,

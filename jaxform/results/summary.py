@@ -212,6 +212,7 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
         "symmetry_planes": {"xyz"[axis]: level for axis, level in symmetry_planes(scene).items()},
         "contact_fraction": float(area[contact_elements(result)].sum() / area.sum()),
         "tools": summarize_tools(result, scene),
+        **({} if result.held_sides is None else {"held_sides": int(result.held_sides)}),
         **_wrinkles(result, scene, area),
         **_temperatures(result, scene),
         **_pressures(result),
@@ -339,8 +340,8 @@ def _warnings_of_ribs(beyond: Penetration, name: str) -> list[str]:
     return [
         f"the sheet passed through a rib or pin of {name} {where}, which stands {ribs.height:.3g} m above it at "
         f"{format_place(ribs.place)} and is {ribs.width:.2g} m wide there: contact is detected at nodes, and no node "
-        "met it; the wall is computed without it; make parison.element_size smaller than its width, or add "
-        "[refinement] with a larger max_level"
+        "met it; the wall is computed without it; set solver.edge_contact = true, make parison.element_size smaller "
+        "than its width, or add [refinement] with a larger max_level"
     ]
 
 

@@ -195,6 +195,11 @@ def pad_neighbors(neighbors: Any) -> Any:
     return pad_values(np.asarray(neighbors).T, capacities.mold_triangle_capacity(len(neighbors)), 0).T
 
 
+def pad_edges(edges: Any) -> Any:
+    """The padded sharp edges of a tool; padded ones have no length."""
+    return pad_values(edges, capacities.sharp_edge_capacity(np.shape(edges)[1]), 0)
+
+
 def _pad_motion(motion: Motion) -> Motion:
     time, displacement = extend_knots(np.asarray(motion.time), np.asarray(motion.displacement))
     return dataclasses.replace(motion, time=time, displacement=displacement)

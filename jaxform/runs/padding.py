@@ -28,6 +28,7 @@ from jaxform.runs.arrays import (
     Order,
     forest_order,
     pad_assembly,
+    pad_edges,
     pad_field,
     pad_forest,
     pad_grid,
@@ -170,7 +171,7 @@ def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Pa
         "parison": pad_parison(scene.parison, order.elements, order),
         "material": pad_material(scene.material, order),
         "pressure": pad_pressure(scene.pressure),
-        "solver": dataclasses.replace(scene.solver, quasi_static=False, max_steps=MOST_STEPS),
+        "solver": dataclasses.replace(scene.solver, quasi_static=False, edge_contact=False, max_steps=MOST_STEPS),
         "fields": {name: pad_field(field, order) for name, field in scene.fields.items()},
         "cooling": scene.cooling,
     }
@@ -245,6 +246,7 @@ def _pad_tables(
         rim=None if tables.rim is None else pad_rim(tables.rim, order),
         tool_grids=tuple(cache_by_identity(_grid, grid) for grid in tables.tool_grids),
         neighbors=tuple(jax.device_put(pad_neighbors(each)) for each in tables.neighbors),
+        edges=tuple(jax.device_put(pad_edges(each)) for each in tables.edges),
     )
     made, refinement = jax.device_put((made, refinement))
     return made, refinement, order

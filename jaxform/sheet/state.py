@@ -9,6 +9,7 @@ from typing import Any, NewType, Self
 import jax
 import jax.numpy as jnp
 
+from jaxform.contact.edge_contact import HeldSides
 from jaxform.contact.sliding import on_surface
 from jaxform.core.pytree import as_real, marked_field_names, pytree
 from jaxform.loads import LoadState
@@ -200,6 +201,7 @@ class State:
         steps, windows, shortened: Steps and windows taken; windows that were rejected and retried.
         status: Bits of `Status`.
         heat: How far the elements have cooled; None where they do not.
+        held: Sides that are held at sharp edges of tools; None where none can be.
     """
 
     nodes: Nodes
@@ -214,6 +216,7 @@ class State:
     shortened: jax.Array
     status: jax.Array
     heat: ThermalState | None = None
+    held: HeldSides | None = None
 
     @property
     def refined_mesh(self) -> RefinedMesh:
@@ -317,4 +320,5 @@ def differentiable_leaves(state: State) -> State:
     account = dataclasses.replace(none.account, **terms, load_state=pressed)
     memory = None if state.memory is None else True
     heat = None if none.heat is None else dataclasses.replace(none.heat, change=True, felt=True)
-    return dataclasses.replace(none, nodes=smooth, account=account, memory=memory, heat=heat)
+    held = None if none.held is None else dataclasses.replace(none.held, share=True, point=True)
+    return dataclasses.replace(none, nodes=smooth, account=account, memory=memory, heat=heat, held=held)

@@ -204,6 +204,7 @@ class SolverTable(Table):
         safety: Factor on the longest stable step.
         quasi_static: Whether a slow process is meant: the run then warns where inertia or damping shows.
         self_contact: Whether films stick to each other that meet back to back in a fold (a web), while the mold rests.
+        edge_contact: Whether sides of elements are held at sharp edges of tools that they would pass between two nodes.
         max_steps: Limit on the steps of a run.
     """
 
@@ -213,6 +214,7 @@ class SolverTable(Table):
     safety: Annotated[float, declared_range("solver.safety")] = 0.9
     quasi_static: bool = False
     self_contact: bool = False
+    edge_contact: bool = False
     max_steps: Annotated[int, declared_range("solver.max_steps")] = MOST_STEPS
 
 

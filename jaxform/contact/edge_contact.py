@@ -1,0 +1,495 @@
+"""Contact of the sheet's sides with sharp edges of tools: a side that would pass an edge is held there.
+
+Only nodes meet triangles (`contact.sticking`): a side between two nodes could pass through a rib that stands between
+them. Here the sides near an edge are compared with it, segment against segment. Where a side crosses it from the
+outside in a step, the point of the side sticks to the point of the edge that it meets, for good, and moves along with
+the tool.
+
+The constraint is linear in the positions of the side's ends: (1 - s) x_i + s x_j stays at the point. After each step
+the ends are moved so that it holds for all sides at once, with the least kinetic energy: the impulses at the points
+follow from a symmetric linear system, which conjugate gradients solve. So the momentum is kept, and the order of the
+sides does not matter. A side is straight: one with an end in contact is held only where less than half of it hangs over
+the edge, for else it would keep the sheet off the tool by more than it cuts it.
+
+Which side meets which edge, and when, is a decision without derivative; the share s and the point are computed from the
+time of impact, differentiably.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact.broad_phase import TEST_BLOCK, Candidates, NearSides
+from jaxform.core.pytree import pytree
+from jaxform.kernels.blocks import (
+    compact_indices,
+    entry,
+    lax_cond_once,
+    materialize,
+    on_cpu,
+    over_blocks,
+    put,
+    slice_at,
+)
+from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, vector
+from jaxform.mechanics.nodes import Nodes
+from jaxform.tools.mold import Mold, ToolFrame
+from jaxform.tools.surface_walk import ContactSurface
+
+NOT_HELD = jnp.iinfo(jnp.int32).max
+_MOST_PASSES, _ACCURACY = 100, 1e-9  # of the solver: passes, and what is left of the gaps
+_SOFTNESS = 1e-5  # of a held side's own compliance: where more are held than can be
+_APART = 0.2  # of a side: two points that are held on it are no nearer to each other
+_OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
+_CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals
+_WIDER = 1.25  # times the spheres that nodes are expected to stay in
+
+
+@pytree
+class HeldSides:
+    """Sides that are held at sharp edges (room,); those beyond the count are not.
+
+    Attributes:
+        ends: The nodes at both ends (2, room).
+        share: How far along the side the point is that is held (room,): 0 at the first end, 1 at the second.
+        point: Where it is held (3, room) [m], in the frame of the tool.
+        edge: The number of the edge, counted over all surfaces (room,).
+        step: The step of the window in which it was first held (room,); -1 before, NOT_HELD where it is not.
+        count: How many there are.
+    """
+
+    ends: jax.Array
+    share: jax.Array
+    point: jax.Array
+    edge: jax.Array
+    step: jax.Array
+    count: jax.Array
+
+    def at(self, place: jax.Array) -> HeldSides:
+        """The same with the nodes at other places (n_node,), before the first step of a window."""
+        step = jnp.where(self.step == NOT_HELD, self.step, -1)
+        return dataclasses.replace(self, ends=gather(place, self.ends), step=step)
+
+
+def no_held_sides(room: int, real: jnp.dtype) -> HeldSides:
+    """No side is held; there is capacity for some."""
+    none = jnp.zeros(room, jnp.int32)
+    return HeldSides(
+        ends=jnp.zeros((2, room), jnp.int32),
+        share=jnp.zeros(room, real),
+        point=jnp.zeros((3, room), real),
+        edge=none,
+        step=jnp.full(room, NOT_HELD, jnp.int32),
+        count=jnp.int32(0),
+    )
+
+
+class KnownSides(NamedTuple):
+    """Sides that a search has found to be held at the window's end: ends, edge and step, as in `HeldSides`."""
+
+    ends: jax.Array
+    edge: jax.Array
+    step: jax.Array
+
+
+# Where a side meets an edge.
+
+
+class _Meeting(NamedTuple):
+    """Whether sides (n,) pass edges in a step, pair by pair; at which share of them and at which points [m]."""
+
+    passes: jax.Array
+    share: jax.Array
+    point: Vector
+
+
+class _Corners(NamedTuple):
+    """Ends of edges, and the third corner of both faces there, each three times (n,) [m]."""
+
+    begin: Vector
+    end: Vector
+    one: Vector
+    other: Vector
+
+
+def edge_corners(mold: Mold, edges: jax.Array, number: jax.Array) -> _Corners:
+    """The corners at edges with these numbers (n,), of the edges (4, n_edge) of a tool; differentiable."""
+    return _Corners(*(vector(mold.vertices[edges[k, number]].T) for k in range(4)))
+
+
+def _scale(factor: Any, a: Vector) -> Vector:
+    return vector(factor * x for x in a)
+
+
+def _across(way: Vector, along: Vector) -> Vector:
+    """Unit vectors (n,) of ways, without what they have along unit vectors."""
+    rest = minus(way, _scale(dot(way, along), along))
+    square = dot(rest, rest)
+    return _scale(1.0 / jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), rest)
+
+
+def _unit(a: Vector) -> tuple[Vector, jax.Array]:
+    square = dot(a, a)
+    there = square > 0.0
+    return _scale(jnp.where(there, 1.0, 0.0) / jnp.sqrt(jnp.where(there, square, 1.0)), a), there
+
+
+def _oriented_normal(side: Vector, along: Vector, outward: Vector) -> tuple[Vector, jax.Array]:
+    """The common unit normals (n,) of sides and edges, on the edges' outer side; and whether there is one."""
+    normal, there = _unit(cross(side, along))
+    return _scale(jnp.where(dot(normal, outward) < 0.0, -1.0, 1.0), normal), there
+
+
+def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: _Corners) -> _Meeting:
+    """Where sides meet edges, pair by pair: from the ends' paths in a step, in the tool's frame."""
+    edge = minus(corners.end, corners.begin)
+    along, there = _unit(edge)
+    ways = [_across(minus(corner, corners.begin), along) for corner in (corners.one, corners.other)]
+    outward = _scale(-1.0, plus(*ways))
+    normal0, turns0 = _oriented_normal(minus(before[1], before[0]), along, outward)
+    normal1, turns1 = _oriented_normal(minus(after[1], after[0]), along, outward)
+    gap0, gap1 = dot(minus(before[0], corners.begin), normal0), dot(minus(after[0], corners.begin), normal1)
+    passes = there & turns0 & turns1 & (gap0 >= 0.0) & (gap1 < 0.0)
+    beta = jnp.where(passes, gap0 / jnp.where(passes, gap0 - gap1, 1.0), 0.0)
+    first, second = (plus(_scale(1.0 - beta, a), _scale(beta, b)) for a, b in zip(before, after, strict=True))
+    side, away = minus(second, first), minus(first, corners.begin)
+    a, b, c = dot(side, side), dot(side, edge), dot(edge, edge)
+    d, e = dot(side, away), dot(edge, away)
+    scale = a * c - b * b
+    passes &= scale > 0.0
+    scale = jnp.where(passes, scale, 1.0)
+    share, far = (b * e - c * d) / scale, (a * e - b * d) / scale
+    passes &= (share > 0.0) & (share < 1.0) & (far >= 0.0) & (far <= 1.0)
+    # A line that touches the edge from outside has its normal between those of both faces.
+    passes &= (dot(normal1, ways[0]) <= _CONE) & (dot(normal1, ways[1]) <= _CONE)
+    return _Meeting(passes, share, plus(corners.begin, _scale(far, edge)))
+
+
+# Search for sides that meet edges, while a list of candidates is valid; not differentiable.
+
+
+def list_near_sides(
+    candidates: Candidates,
+    stuck: jax.Array,
+    triangles: jax.Array,
+    used: jax.Array,
+    mold: Mold,
+    edges: jax.Array,
+    speed: jax.Array | float,
+) -> NearSides:
+    """Lists the sides of elements that can meet a sharp edge while the candidates are valid.
+
+    Args:
+        candidates: Those of the surface, with the spheres in which nodes are expected to stay.
+        stuck: Nodes (n_node,) that do not move by themselves.
+        triangles: Places of the elements' nodes (3, n_element).
+        used: Elements (n_element,) that there are.
+        mold: The tool.
+        edges: Its sharp edges (4, n_edge).
+        speed: How far the tool moves while the list is valid [m]: so far what sticks elsewhere moves in its frame.
+    """
+    center, radius = candidates.lists.spheres[0][:3], candidates.lists.spheres[0][3]
+    wide = _WIDER * radius + speed
+    begin, end = (jnp.concatenate([triangles[(k + turn) % 3] for k in range(3)]) for turn in (0, 1))
+    moves = jnp.tile(used, 3) & ~(stuck[begin] & stuck[end])
+    one, other = center[:, begin], center[:, end]
+    middle, half = 0.5 * (one + other), 0.5 * (other - one)
+    reach = jnp.sqrt(dot(half, half)) + jnp.maximum(wide[begin], wide[end])
+    room = 2 * candidates.lists.node.size
+    listed = jnp.zeros(room + begin.size, jnp.int32)
+
+    def add_edge(k: jax.Array, found: tuple[jax.Array, jax.Array, jax.Array]) -> Any:
+        side, edge, count = found
+        a, b = (mold.vertices[edges[corner, k]][:, None] for corner in (0, 1))
+        way = b - a
+        square = dot(way, way)
+        t = jnp.clip(dot(middle - a, way) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
+        gap = middle - a - t[None] * way
+        near = moves & (dot(gap, gap) <= reach * reach) & (square > 0.0)
+        place, more = compact_indices(near, near.size)
+        begin_at = jnp.minimum(count, room)
+        return put(side, place, begin_at), put(edge, jnp.full_like(place, k), begin_at), count + more
+
+    none = listed, listed, jnp.int32(0)
+    side, edge, count = jax.lax.fori_loop(0, edges.shape[1], add_edge, none)
+    ends = jnp.stack([begin[side], end[side]])
+    overflow, count = count > room, jnp.minimum(count, room)
+    return NearSides(ends, edge, count, center, jnp.where(stuck, jnp.inf, radius * radius), overflow)
+
+
+def leaves_list(near: NearSides, places: Any, blocks: jax.Array) -> jax.Array:
+    """True where a node, at places three times (n_node,) [m], leaves the sphere for which sides were listed."""
+
+    def work(places: Any, center: jax.Array, square: jax.Array) -> Any:
+        away = minus(vector(places), vector(center))
+        return [], [dot(away, away) > square]
+
+    _, (gone,) = over_blocks(work, blocks, (vector(places), near.center, near.square), [], sums=1)
+    return gone > 0
+
+
+class SidePaths(NamedTuple):
+    """The nodes' paths in a step: positions before contact, and after it, velocities before it; length and frame."""
+
+    flown: Any
+    landed: Any
+    velocities: jax.Array
+    length: jax.Array
+    frame: ToolFrame | None
+
+    def ends(self, node: jax.Array) -> tuple[Vector, Vector]:
+        """Begin and end of paths of nodes (n,), in the tool's frame."""
+        flown, landed = gather_columns(self.flown, node), gather_columns(self.landed, node)
+        velocities = gather_columns(self.velocities, node)
+        if self.frame is not None:
+            flown, landed = self.frame.places(flown), self.frame.places(landed)
+            velocities = self.frame.speeds(velocities)
+        before = vector(x - self.length * v for x, v in zip(flown, velocities, strict=True))
+        return before, vector(landed)
+
+
+def find_held_sides(
+    held: HeldSides,
+    near: NearSides,
+    paths: SidePaths,
+    nodes: Nodes,
+    surface: ContactSurface,
+    edges: jax.Array,
+    first: int,
+    number: jax.Array,
+) -> HeldSides:
+    """The held sides, with those that pass an edge of the surface in this step.
+
+    Args:
+        held: Those so far.
+        near: The list.
+        paths: The nodes' paths.
+        nodes: The nodes after contact.
+        surface: The surface.
+        edges: Its sharp edges (4, n_edge).
+        first: Number of the first of them, counted over all surfaces.
+        number: Number of the step.
+    """
+
+    def more(carry: tuple[jax.Array, HeldSides]) -> jax.Array:
+        return carry[0] * TEST_BLOCK < near.count
+
+    def test(carry: tuple[jax.Array, HeldSides]) -> tuple[jax.Array, HeldSides]:
+        k, held = carry
+        begin = materialize(k * TEST_BLOCK)
+        one, other, edge = (slice_at(row, begin, TEST_BLOCK) for row in (near.ends[0], near.ends[1], near.edge))
+        (before_one, after_one), (before_other, after_other) = paths.ends(one), paths.ends(other)
+        found = _meet((before_one, before_other), (after_one, after_other), edge_corners(surface.mold, edges, edge))
+        stuck = gather(nodes.stuck, one), gather(nodes.stuck, other)
+        hangs = jnp.where(stuck[0], 1.0 - found.share, jnp.where(stuck[1], found.share, 0.0))
+        passes = found.passes & ~(stuck[0] & stuck[1]) & (hangs <= _OVERHANG)
+        passes &= begin + jnp.arange(TEST_BLOCK) < near.count
+        found = found._replace(passes=passes)
+        pairs = materialize((one, other, first + edge, found))
+        return k + 1, lax_cond_once(jnp.any(found.passes), lambda held: _add_sides(held, *pairs, number), held)
+
+    return jax.lax.while_loop(more, test, (jnp.int32(0), held))[1]
+
+
+def _add_sides(
+    held: HeldSides, one: jax.Array, other: jax.Array, edge: jax.Array, found: _Meeting, number: jax.Array
+) -> HeldSides:
+    """Adds the sides that pass, one by one, unless they are held near there, or there is no room."""
+
+    def add(k: jax.Array, held: HeldSides) -> HeldSides:
+        i, j, share = entry(one, k), entry(other, k), entry(found.share, k)
+        there = held.step != NOT_HELD
+        same = (held.ends[0] == i) & (held.ends[1] == j)
+        turned = (held.ends[0] == j) & (held.ends[1] == i)
+        place = jnp.where(turned, 1.0 - held.share, held.share)
+        known = jnp.any(there & (same | turned) & (jnp.abs(place - share) < _APART))
+        takes = entry(found.passes, k) & ~known & (held.count < held.share.size)
+        at = jnp.minimum(held.count, held.share.size - 1)
+
+        def write(values: jax.Array, new: jax.Array) -> jax.Array:
+            return put(values, jnp.where(takes, new[..., None], slice_at(values, at, 1)), at)
+
+        values = jnp.stack([i, j]), share, jnp.stack([entry(x, k) for x in found.point]), entry(edge, k), number
+        values, held = materialize((values, held))
+        return HeldSides(
+            write(held.ends, values[0]),
+            write(held.share, values[1]),
+            write(held.point, values[2]),
+            write(held.edge, values[3]),
+            write(held.step, values[4]),
+            held.count + takes,
+        )
+
+    return jax.lax.fori_loop(0, TEST_BLOCK, add, held)
+
+
+def hold_known_sides(
+    held: HeldSides,
+    known: KnownSides,
+    paths: SidePaths,
+    surface: ContactSurface,
+    edges: jax.Array,
+    first: int,
+    number: jax.Array,
+) -> HeldSides:
+    """The held sides, with the known ones that pass an edge of the surface in this step; differentiable."""
+    here = (known.step == number) & (known.edge >= first) & (known.edge < first + edges.shape[1])
+
+    def place(held: HeldSides) -> HeldSides:
+        (before_one, after_one), (before_other, after_other) = (paths.ends(end) for end in known.ends)
+        own = jnp.where(here, known.edge - first, 0)
+        found = _meet((before_one, before_other), (after_one, after_other), edge_corners(surface.mold, edges, own))
+        point = jnp.where(here, jnp.stack(found.point), held.point)
+        return dataclasses.replace(held, share=jnp.where(here, found.share, held.share), point=point)
+
+    return jax.lax.cond(jnp.any(here), jax.checkpoint(place), lambda held: held, held)
+
+
+# What holds them.
+
+
+def values_at_points(nodal: Any, held: HeldSides) -> jax.Array:
+    """Velocities (3, room) [m/s] of the points at which sides are held, from those of the nodes; or positions."""
+    one, other = (jnp.stack(gather_columns(nodal, end)) for end in held.ends)
+    return (1.0 - held.share) * one + held.share * other
+
+
+class HeldNodes(NamedTuple):
+    """Nodes after a step in which sides were held: positions and velocities; the loss, and work of tools [J].
+
+    Also what the holding forces take of the damping loss per damping and step of the velocity [J], which was counted
+    for velocities without them.
+    """
+
+    positions: Any
+    velocities: jax.Array
+    loss: jax.Array
+    work: jax.Array
+    damped: jax.Array
+
+
+def hold_sides(
+    positions: Any,
+    velocities: jax.Array,
+    before: jax.Array,
+    held: HeldSides,
+    compliance: jax.Array,
+    immovable: jax.Array,
+    length: jax.Array,
+    carrier: tuple[jax.Array, jax.Array],
+    number: jax.Array,
+    *,
+    differentiable: bool,
+) -> HeldNodes:
+    """Moves the ends of held sides so that these pass through the points where they are held.
+
+    Args:
+        positions: After the step as if nothing were held, three times (n_node,) [m].
+        velocities: In the step, (3, n_node) [m/s].
+        before: `values_at_points` before the step.
+        held: The held sides.
+        compliance: Of the nodes (3, n_node) [1/kg].
+        immovable: Nodes (n_node,) that are where they are whatever they hold.
+        length: The step [s]; nothing is moved in one of no length.
+        carrier: Of each side, what the tool has moved by at the step's end [m], and its velocity (3, room) [m/s].
+        number: Number of the step.
+        differentiable: Whether JAX can differentiate it.
+    """
+    weights, scatter = (1.0 - held.share, held.share), differentiable or not on_cpu()
+    active = (held.step < number) & (length > 0.0)
+    free, moves = _mobilities(held, active, compliance, immovable)
+    scale = sum(w * move for w, move in zip(weights, moves, strict=True))
+
+    def displace(push: jax.Array) -> jax.Array:
+        """Displacements (3, room) of the held points by such pushes at all of them."""
+        nodes = _add_at_ends(jnp.zeros_like(compliance), [move * push for move in moves], held, scatter)
+        return jnp.where(free, values_at_points(nodes, held) + _SOFTNESS * scale * push, push)
+
+    gap = jnp.where(free, held.point + carrier[0] - values_at_points(positions, held), 0.0)
+    inverse = jax.lax.stop_gradient(jnp.where(free, 1.0 / jnp.where(free, scale, 1.0), 1.0))
+    solve = functools.partial(_conjugate_gradients, inverse=inverse)
+    push = jax.lax.custom_linear_solve(displace, gap, solve, symmetric=True) if scatter else solve(displace, gap)
+    impulse, speed = push / jnp.where(length > 0.0, length, 1.0), carrier[1]
+    new = _add_at_ends(velocities, [move * impulse for move in moves], held, scatter)
+    mean = 0.5 * (before + values_at_points(new, held)) - speed
+    return HeldNodes(
+        positions=_add_at_ends(positions, [move * push for move in moves], held, scatter),
+        velocities=new,
+        loss=-jnp.sum(impulse * mean),
+        work=jnp.sum(impulse * speed),
+        damped=0.25 * jnp.sum(impulse * (before + values_at_points(velocities, held))),
+    )
+
+
+def _mobilities(
+    held: HeldSides, active: jax.Array, compliance: jax.Array, immovable: jax.Array
+) -> tuple[jax.Array, list[jax.Array]]:
+    """Which components of held points can be moved (3, room), and how far either end goes by a push there [1/kg].
+
+    A side with one end in contact is no longer held where most of it hangs over the edge.
+    """
+    weights = 1.0 - held.share, held.share
+    own = [jnp.where(gather(immovable, end), 0.0, jnp.stack(gather_columns(compliance, end))) for end in held.ends]
+    mobile = [jnp.any(c > 0.0, axis=0) for c in own]
+    hangs = jnp.where(mobile[0], jnp.where(mobile[1], 0.0, weights[1]), weights[0])
+    moves = [w * c for w, c in zip(weights, own, strict=True)]
+    free = active & (hangs <= _OVERHANG) & (weights[0] * moves[0] + weights[1] * moves[1] > 0.0)
+    return free, [jnp.where(free, move, 0.0) for move in moves]
+
+
+class _Pushes(NamedTuple):
+    """Pushes (3, room) so far, the gaps that they leave, the next direction, and the square of what is left."""
+
+    count: jax.Array
+    push: jax.Array
+    left: jax.Array
+    way: jax.Array
+    square: jax.Array
+
+
+def _conjugate_gradients(displace: Callable[[jax.Array], jax.Array], gap: jax.Array, inverse: jax.Array) -> jax.Array:
+    """The pushes (3, room) that displace held points by the gaps (3, room) [m]; preconditioned by the diagonal."""
+    start = inverse * gap
+    first = _Pushes(jnp.int32(0), jnp.zeros_like(gap), gap, start, jnp.sum(gap * start))
+    least = _ACCURACY * _ACCURACY * first.square
+
+    def more(now: _Pushes) -> jax.Array:
+        return (now.count < _MOST_PASSES) & (now.square > least)
+
+    def improve(now: _Pushes) -> _Pushes:
+        along = displace(now.way)
+        size = jnp.sum(now.way * along)
+        step = now.square / jnp.where(size > 0.0, size, jnp.inf)
+        left = now.left - step * along
+        ahead = inverse * left
+        square = jnp.sum(left * ahead)
+        return _Pushes(now.count + 1, now.push + step * now.way, left, ahead + square / now.square * now.way, square)
+
+    return jax.lax.while_loop(more, improve, first).push
+
+
+def _add_at_ends(values: Any, changes: list[jax.Array], held: HeldSides, scatter: bool) -> Any:
+    """Values (k, n_node), or k rows of them, with the changes (k, room) of either end of the held sides added."""
+    first, second = held.ends
+    if scatter and isinstance(values, tuple):
+        return vector(_add_at_ends(jnp.stack(values), changes, held, scatter))
+    if scatter:
+        array: jax.Array = values
+        return array.at[:, first].add(changes[0]).at[:, second].add(changes[1])
+
+    def add(k: jax.Array, rows: list[jax.Array]) -> list[jax.Array]:
+        # One by one, and all is read before anything is written (docs/explanation/kernels.md).
+        for end, change in zip(held.ends, changes, strict=True):
+            node = entry(end, k)
+            new = materialize([entry(row, node) + entry(own, k) for row, own in zip(rows, change, strict=True)])
+            rows = [put(row, value[None], node) for row, value in zip(rows, new, strict=True)]
+        return rows
+
+    rows: Any = jax.lax.fori_loop(0, held.count, add, list(values))
+    return vector(rows) if isinstance(values, tuple) else jnp.stack(rows)

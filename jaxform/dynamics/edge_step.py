@@ -1,0 +1,147 @@
+"""Sides at sharp edges of tools in the steps of a window: held, searched for, or known from a search."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact import edge_contact
+from jaxform.contact.broad_phase import Candidates
+from jaxform.contact.edge_contact import HeldNodes, KnownSides, SidePaths
+from jaxform.contact.sliding import lying_nodes
+from jaxform.dynamics.window_state import WindowData, WindowState
+from jaxform.kernels.blocks import lax_cond_once
+from jaxform.model.scene import Scene
+from jaxform.tools.mold import ToolFrame
+
+Frames = tuple[ToolFrame | None, ...]
+
+
+def first_edges(scene: Scene) -> list[int]:
+    """The number of each surface's first sharp edge, counted over all surfaces, and how many there are."""
+    firsts = [0]
+    for edges in scene.tables.edges:
+        firsts.append(firsts[-1] + edges.shape[1])
+    return firsts
+
+
+def list_sides(listed: Candidates, moving: WindowState, scene: Scene, now: WindowData, number: int) -> Candidates:
+    """The candidates of a surface, with the sides that can meet its sharp edges."""
+    edges, mold = scene.tables.edges[number], scene.surfaces[number].mold
+    if not edges.size:
+        return listed
+    left = (now.max_count - moving.count) * now.length
+    moved = 0.0 if mold.motion is None else left * mold.motion.highest_speed()
+    elements, stuck = now.active.packed.elements, moving.nodes.stuck
+    given = listed, stuck, elements.triangles, elements.area > 0.0, mold, edges, moved
+    near = edge_contact.list_near_sides(*jax.lax.stop_gradient(given))
+    return dataclasses.replace(listed, sides=near, overflow=listed.overflow | near.overflow)
+
+
+def hold_sides_at_edges(
+    moving: WindowState,
+    moved: WindowState,
+    steps: tuple[jax.Array, jax.Array],
+    scene: Scene,
+    now: WindowData,
+    frames: Frames,
+) -> WindowState:
+    """The state after a step whose forces and velocities are known, with the held sides where they are held.
+
+    Args:
+        moving: Before the step.
+        moved: After it, as if nothing were held.
+        steps: The step that the velocity takes, and the step [s].
+        scene: The scene.
+        now: The window.
+        frames: Frames of the surfaces in the step.
+    """
+    kick, length = steps
+    held, nodes, differentiable = moved.held, moved.nodes, moved.room is None
+    assert held is not None
+    carrier = _carrier(held.edge, scene, frames, held.point)
+    before = edge_contact.values_at_points(moving.nodes.velocities, held)
+    immovable = nodes.stuck | lying_nodes(nodes.stuck, nodes.wall) if scene.slides else nodes.stuck
+    zero = jnp.zeros((), nodes.velocities.dtype)
+
+    def hold(free: HeldNodes) -> HeldNodes:
+        return edge_contact.hold_sides(
+            free.positions,
+            free.velocities,
+            before,
+            held,
+            now.active.compliance,
+            immovable,
+            length,
+            carrier,
+            moving.count,
+            differentiable=differentiable,
+        )
+
+    free = HeldNodes(nodes.positions, nodes.velocities, zero, zero, zero)
+    found = lax_cond_once(held.count > 0, hold, free, differentiable=differentiable)
+    account, damping = moved.account, scene.solver.damping
+    account = dataclasses.replace(account, contact_loss=account.contact_loss + found.loss)
+    if damping is not None:
+        account = dataclasses.replace(account, damping_loss=account.damping_loss + damping * kick * found.damped)
+    if account.tool_work is not None:
+        account = dataclasses.replace(account, tool_work=account.tool_work + found.work)
+    nodes = dataclasses.replace(nodes, positions=found.positions, velocities=found.velocities)
+    return dataclasses.replace(moved, nodes=nodes, account=account)
+
+
+def _carrier(edge: jax.Array, scene: Scene, frames: Frames, like: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Displacement at the step's end [m] and velocity [m/s] of the tool of each edge (3, room)."""
+    offset = speed = jnp.zeros_like(like)
+    firsts = first_edges(scene)
+    for number, frame in enumerate(frames):
+        if frame is not None:
+            own = (edge >= firsts[number]) & (edge < firsts[number + 1])
+            offset = jnp.where(own, frame.offset[:, None], offset)
+            speed = jnp.where(own, frame.velocity[:, None], speed)
+    return offset, speed
+
+
+def _paths(moved: WindowState, landed: WindowState, length: jax.Array, frame: ToolFrame | None) -> SidePaths:
+    return SidePaths(moved.nodes.positions, landed.nodes.positions, moved.nodes.velocities, length, frame)
+
+
+def search_sides(
+    moved: WindowState,
+    landed: WindowState,
+    length: jax.Array,
+    candidates: Any,
+    scene: Scene,
+    now: WindowData,
+    frames: Frames,
+) -> WindowState:
+    """The state after a step, with the sides that are held from now on; `moved` is that before nodes landed."""
+    held, stale = landed.held, landed.stale
+    assert held is not None and stale is not None
+    firsts, number = first_edges(scene), moved.count - 1
+    for k, (surface, edges) in enumerate(zip(scene.surfaces, scene.tables.edges, strict=True)):
+        near, frame = candidates[k].sides, frames[k]
+        if near is None:
+            continue
+        paths = _paths(moved, landed, length, frame)
+        held = edge_contact.find_held_sides(held, near, paths, landed.nodes, surface, edges, firsts[k], number)
+        places = landed.nodes.positions if frame is None else frame.places(landed.nodes.positions)
+        stale |= edge_contact.leaves_list(near, places, now.active.packed.elements.node_block_count)
+    return dataclasses.replace(landed, held=held, stale=stale)
+
+
+def replay_sides(
+    moved: WindowState, landed: WindowState, length: jax.Array, known: KnownSides, scene: Scene, frames: Frames
+) -> WindowState:
+    """The state after a step, with the known sides that are held from now on; differentiable."""
+    held = landed.held
+    assert held is not None
+    firsts, number = first_edges(scene), jnp.where(moved.halted, -2, moved.count - 1)
+    for k, (surface, edges) in enumerate(zip(scene.surfaces, scene.tables.edges, strict=True)):
+        if edges.size:
+            paths = _paths(moved, landed, length, frames[k])
+            held = edge_contact.hold_known_sides(held, known, paths, surface, edges, firsts[k], number)
+    return dataclasses.replace(landed, held=held)

@@ -1,0 +1,202 @@
+"""Sides of elements at sharp edges of tools: held where they would pass between two nodes, against exact solutions."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import jaxform
+from jaxform.core.pytree import as_real
+from jaxform.tools.sharp_edges import sharp_edges
+
+DOME = [[0.06 * np.sin(angle), 0.06 * np.cos(angle)] for angle in np.linspace(0.0, 0.5 * np.pi, 7)]
+LENGTH, RIDGE, WALL, MODULUS = 0.1, 0.0347, 1e-3, 0.2e6
+
+
+def strip(count: int) -> jaxform.Parison:
+    """A strip along x, held in plane strain, with so many elements' sides along it."""
+    x = np.linspace(0.0, LENGTH, count + 1)
+    width = LENGTH / count
+    positions = np.concatenate([np.stack([x, np.full_like(x, y), 0 * x], 1) for y in (0.0, width)])
+    low = np.arange(count)
+    triangles = np.concatenate(
+        [np.stack([low, low + 1, low + count + 2], 1), np.stack([low, low + count + 2, low + count + 1], 1)]
+    )
+    fixed = np.zeros((len(positions), 3), bool)
+    fixed[:, 1] = True
+    ends = (positions[:, 0] == 0.0) | (positions[:, 0] == LENGTH)
+    return jaxform.make_parison(positions, triangles, WALL, ends, fixed)
+
+
+def wedge(tip: float, up: float = 1.0, half: float = 1e-3) -> tuple[np.ndarray, np.ndarray]:
+    """A wedge whose edge runs across the strip at a height, with the sheet below it, or above where `up` is -1."""
+    far = tip + up * 0.06
+    rows = [(RIDGE, tip), (RIDGE - half, far), (RIDGE + half, far)]
+    vertices = np.array([[x, y, z] for x, z in rows for y in (-0.05, 0.1)])
+    return vertices, np.array([[0, 1, 2], [1, 3, 2], [0, 4, 1], [1, 4, 5]])
+
+
+def blown(count: int, *, edge_contact: bool = True, pressure: float = 4000.0) -> jaxform.Scene:
+    return jaxform.build_scene(
+        parison=strip(count),
+        material=jaxform.NeoHookean(as_real(MODULUS), as_real(1000.0)),
+        pressure=jaxform.make_pressure([0.0, 0.04], [0.0, pressure]),
+        solver=jaxform.make_solver(end_time=0.08, damping=300.0, edge_contact=edge_contact),
+        mold=jaxform.make_mold(*wedge(2e-4)),
+        fill=False,
+    )
+
+
+def walls(result: jaxform.Result) -> tuple[float, float]:
+    """The wall on either side of the ridge, without the elements that it crosses [m]."""
+    x = np.asarray(result.reference)[np.asarray(result.triangles)][..., 0]
+    thickness = np.asarray(result.element_thickness)
+    return float(thickness[x.max(1) <= RIDGE].mean()), float(thickness[x.min(1) >= RIDGE].mean())
+
+
+def held_count(result: jaxform.Result) -> int:
+    assert result.held_sides is not None
+    return int(result.held_sides)
+
+
+def exact_wall(length: float, pressure: float = 4000.0) -> float:
+    """The wall of a strip of a length, clamped at both ends and blown: an arc with an even stretch."""
+
+    def missing(angle: float) -> float:
+        stretch = angle / np.sin(angle)
+        tension = 2.0 * MODULUS * WALL * (stretch - stretch**-3)
+        return tension - pressure * length / (2.0 * np.sin(angle))
+
+    angle = float(brentq(missing, 0.2, 2.5))  # pyright: ignore
+    return float(WALL * np.sin(angle) / angle)
+
+
+def test_sharp_edges_of_a_box_whose_triangles_turn_either_way() -> None:
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, d, c))])
+    found = sharp_edges(corners, triangles)
+    # Twelve edges, and none of the diagonals within a face.
+    assert found.shape == (4, 12)
+    assert (np.abs(corners[found[0]] - corners[found[1]]).sum(1) == 1.0).all()
+
+
+def test_facets_of_a_round_surface_are_no_edges() -> None:
+    shape = jaxform.molds.revolved(profile=DOME, segments=48)
+    assert sharp_edges(np.asarray(shape.vertices), np.asarray(shape.triangles)).shape[1] == 0
+
+
+def test_a_film_over_a_ridge_between_nodes_has_the_exact_wall_on_both_sides() -> None:
+    exact = exact_wall(RIDGE), exact_wall(LENGTH - RIDGE)
+    errors = []
+    for count in (16, 32):
+        result = jaxform.run(blown(count))
+        assert int(result.status) == 0
+        assert held_count(result) == 3  # both sides along the strip, and a diagonal
+        errors.append(max(abs(own / known - 1.0) for own, known in zip(walls(result), exact, strict=True)))
+    assert errors[0] < 0.01
+    assert errors[1] < 2e-3
+    with pytest.warns(jaxform.InputWarning, match="nothing touched the mold"):
+        free = walls(jaxform.run(blown(32, edge_contact=False)))
+    assert abs(free[0] / exact[0] - 1.0) > 0.05  # without it the film is blown through the ridge
+    assert abs(free[1] / exact[1] - 1.0) > 0.04
+
+
+def pushed(count: int, way: float = 0.02) -> jaxform.Scene:
+    """The strip and a wedge above it that moves down, with nothing else that pushes."""
+    motion = jaxform.make_motion([0.0, 0.0, -1.0], [0.0, 0.05], [0.0, way])
+    return jaxform.build_scene(
+        parison=strip(count),
+        material=jaxform.NeoHookean(as_real(MODULUS), as_real(1000.0)),
+        pressure=jaxform.make_pressure([0.0, 0.04], [0.0, 0.0]),
+        solver=jaxform.make_solver(end_time=0.08, damping=300.0, edge_contact=True),
+        tools=[jaxform.make_mold(*wedge(2e-4), motion=motion, name="plug")],
+        fill=False,
+    )
+
+
+def test_an_edge_of_a_tool_that_moves_takes_the_film_along() -> None:
+    result = jaxform.run(pushed(32))
+    assert int(result.status) == 0
+    assert held_count(result) == 3
+    exact = [WALL / np.hypot(1.0, (0.02 - 2e-4) / length) for length in (RIDGE, LENGTH - RIDGE)]
+    np.testing.assert_allclose(walls(result), exact, rtol=3e-3)
+    # Only the tool works, and nearly all of it is stored.
+    energy = result.energy
+    assert float(energy.external_work) == 0.0
+    assert float(energy.balance_error) < 2e-3
+    assert float(energy.contact_loss) < 0.02 * float(energy.tool_work)
+
+
+def test_a_run_and_simulate_and_a_replay_hold_the_same_sides() -> None:
+    scene = blown(16)
+    result = jaxform.run(scene)
+    for other in (jaxform.simulate(scene), jaxform.simulate(scene, schedule=result.schedule)):
+        assert held_count(other) == held_count(result) == 3
+        np.testing.assert_allclose(other.positions, result.positions, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(other.energy.contact_loss, result.energy.contact_loss, rtol=1e-6)
+
+
+def _thin_side(result: jaxform.Result) -> jax.Array:
+    """The wall beyond the ridge, which depends on where the film meets it."""
+    x = result.reference[:, 0][result.triangles]
+    own = jnp.where(x.min(1) >= RIDGE, result.element_volume, 0.0)
+    return jnp.sum(own * result.element_thickness) / jnp.sum(own)
+
+
+@pytest.mark.parametrize("build", [blown, pushed])
+def test_gradients_through_edge_contact(build: Callable[[int], jaxform.Scene]) -> None:
+    scene = build(8)
+    schedule = jaxform.run(scene).schedule
+    x = np.asarray(scene.parison.positions)[:, 0]
+    # Thicker to one side, so that the film meets the edge with another of its points.
+    way = jnp.asarray(1e-3 * (0.3 + x / LENGTH))
+
+    def value(size: jax.Array) -> jax.Array:
+        changed = jaxform.replace(scene, {"parison.thickness": scene.parison.thickness + size * way})
+        return 1e3 * _thin_side(jaxform.simulate(changed, schedule=schedule))
+
+    slope = jax.jit(jax.grad(value))(jnp.zeros(()))
+    run = jax.jit(value)
+    step = 1e-5
+    difference = (run(jnp.asarray(step)) - run(jnp.asarray(-step))) / (2 * step)
+    assert abs(float(slope)) > 0.1
+    np.testing.assert_allclose(slope, difference, rtol=1e-5)
+
+
+def test_a_scene_without_sharp_edges_is_the_same_program() -> None:
+    shape = jaxform.molds.revolved(profile=DOME, segments=48)
+    scenes = [
+        jaxform.padded(
+            jaxform.build_scene(
+                parison=strip(8),
+                material=jaxform.NeoHookean(as_real(MODULUS), as_real(1000.0)),
+                pressure=jaxform.make_pressure([0.0, 0.04], [0.0, 1000.0]),
+                solver=jaxform.make_solver(end_time=0.01, edge_contact=edge_contact),
+                mold=jaxform.make_mold(shape.vertices, shape.triangles),
+                fill=False,
+            )
+        )
+        for edge_contact in (False, True)
+    ]
+    one, other = (jax.tree.flatten(scene) for scene in scenes)
+    assert one[1] == other[1]
+    assert all(np.array_equal(a, b) for a, b in zip(one[0], other[0], strict=True))
+
+
+def test_edge_contact_refuses_a_mesh_that_is_refined() -> None:
+    scene = blown(8)
+    refinement = jaxform.make_refinement(angle=5.0, interval=64, max_level=1, elements=100)
+    with pytest.raises(jaxform.InputError, match="refined during the run") as caught:
+        jaxform.build_scene(
+            parison=scene.parison,
+            material=scene.material,
+            pressure=scene.pressure,
+            solver=scene.solver,
+            mold=scene.mold,
+            refinement=refinement,
+        )
+    assert caught.value.key == "solver.edge_contact"
