@@ -37,8 +37,8 @@ from jaxform.kernels.blocks import (
     put,
     slice_at,
 )
+from jaxform.mechanics.elements import Nodes
 from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, vector
-from jaxform.mechanics.nodes import Nodes
 from jaxform.tools.mold import Mold, ToolFrame
 from jaxform.tools.surface_walk import ContactSurface
 
