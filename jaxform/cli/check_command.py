@@ -26,6 +26,10 @@ from jaxform.tools.mold import Mold, Motion
 # Measured on one core of a 2-core machine (docs/speed.md says more): of an element and of a step by itself, and what a
 # process takes before it has a scene.
 _PER_ELEMENT, _PER_STEP, _SECONDS_TO_COMPILE = 12e-9, 10e-6, {False: 6, True: 20}  # uniform, refined
+# What makes the program of a step longer than with one tool that nodes stick to, measured by its text: each further tool,
+# tools on which nodes slide, Prony terms, a pressure that follows the volume. And the power of its length with which the
+# time to compile grows, from 10.5 to 22.8 s of one core for 1.78 times the length.
+_LONGER, _POWER = {"tool": 0.4, "slip": 0.8, "modes": 0.25, "gas": 0.15}, 4.0 / 3.0
 _MEASURED_TO_BOUND = 1.6  # of the built-in scenes' first steps, 1.5 to 1.9
 _BYTES_AT_FIRST, _COPIES = 350e6, 3.0
 
@@ -213,11 +217,23 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     if is_compiled(scene, store):
         yield "its programs are compiled already"
     else:
-        wait = _SECONDS_TO_COMPILE[scene.refinement is not None]
-        yield f"compiles first, for about {wait} s: no scene of this kind and size was run on this machine before"
+        wait = f"{_seconds_to_compile(scene):.0f} s"
+        yield f"compiles first, for about {wait}: no scene of this kind and size was run on this machine before"
     if scene.solver.quasi_static:
         most = f"{100 * QUASI_STATIC_LIMIT:.2g} %"
         yield f"quasi-static process: a warning follows if inertia or damping change the wall by more than {most}"
+
+
+def _seconds_to_compile(scene: Scene) -> float:
+    """Time [s] to compile the programs for a run, on one core."""
+    counts = {
+        "tool": max(len(scene.surfaces) - 1, 0),
+        "slip": any(not surface.mold.contact.sticks for surface in scene.surfaces),
+        "modes": scene.material.viscous is not None,
+        "gas": scene.pressure.follows_volume,
+    }
+    size = 1.0 + sum(_LONGER[name] * count for name, count in counts.items())
+    return _SECONDS_TO_COMPILE[scene.refinement is not None] * size**_POWER
 
 
 def _duration(seconds: float) -> str:
