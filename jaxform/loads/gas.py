@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -18,16 +18,8 @@ from jaxform.loads.loading import Interval, Loading, loading
 _CLOSED_BY = ("clamp", "mold")
 
 
-class GasState(NamedTuple):
-    """State of a gas that exchanges no heat.
-
-    Attributes:
-        mass: [kg].
-        heat: Mass times temperature [kg K].
-    """
-
-    mass: jax.Array
-    heat: jax.Array
+MassAndHeat = tuple[jax.Array, jax.Array]
+"""State of a gas that exchanges no heat: its mass [kg], and its mass times its temperature [kg K]."""
 
 
 @loading
@@ -89,15 +81,15 @@ class Gas(Loading):
         """Volume of the gas [m^3], with an enclosed volume [m^3] under the sheet."""
         return volume + self.dead_volume if self.closed_by == "clamp" else self.dead_volume - volume
 
-    def start(self, volume: jax.Array) -> jax.Array | GasState:
+    def start(self, volume: jax.Array) -> jax.Array | MassAndHeat:
         """The mass of the gas at first [kg], at ambient pressure; with its heat where it is adiabatic."""
         mass = self.ambient_pressure * self.gas_volume(volume) / self._specific_energy
-        return GasState(mass, mass * self.temperature) if self.adiabatic else mass
+        return (mass, mass * self.temperature) if self.adiabatic else mass
 
-    def at(self, time: jax.Array, volume: jax.Array, state: jax.Array | GasState) -> jax.Array:
+    def at(self, time: jax.Array, volume: jax.Array, state: jax.Array | MassAndHeat) -> jax.Array:
         """Gauge pressure [Pa] on the sheet with an enclosed volume [m^3]; negative where the gas resists the sheet."""
-        if isinstance(state, GasState):
-            energy = state.heat * self.gas_constant
+        if isinstance(state, tuple):
+            energy = state[1] * self.gas_constant
         elif self.discharge_coefficient is not None:
             energy = state * self._specific_energy
         else:
@@ -105,9 +97,9 @@ class Gas(Loading):
         gauge = energy / self.gas_volume(volume) - self.ambient_pressure
         return gauge if self.closed_by == "clamp" else -gauge
 
-    def after(self, state: jax.Array | GasState, interval: Interval) -> jax.Array | GasState:
+    def after(self, state: jax.Array | MassAndHeat, interval: Interval) -> jax.Array | MassAndHeat:
         """The state at the end of an interval; a mass without valve and vent remains that at first."""
-        if isinstance(state, GasState):
+        if isinstance(state, tuple):
             return self._after_without_heat(state, interval)
         return state if self.discharge_coefficient is None else self._after_isothermal(state, interval)
 
@@ -172,43 +164,46 @@ class Gas(Loading):
         low, high = ends.min() + jnp.minimum(blown, 0.0) * length, ends.max() + jnp.maximum(blown, 0.0) * length
         return jnp.clip(mass + rate * length * mean_decay(-slope * length), low, high)
 
-    def _after_without_heat(self, state: GasState, interval: Interval) -> GasState:
+    def _after_without_heat(self, state: MassAndHeat, interval: Interval) -> MassAndHeat:
         """The state at the end of an interval: half of the change of volume, then the flow, then the other half."""
         assert self.heat_capacity_ratio is not None
         power = self.heat_capacity_ratio - 1.0
         before, volume = self.gas_volume(interval.before), self.gas_volume(interval.volume)
         middle = 0.5 * (before + volume)
-        expanded = state._replace(heat=state.heat * (before / middle) ** power)
-        filled = self._fill(expanded, interval.time - 0.5 * interval.length, interval.length, middle)
-        return filled._replace(heat=filled.heat * (middle / volume) ** power)
+        mass, heat = state
+        expanded = mass, heat * (before / middle) ** power
+        mass, heat = self._fill(expanded, interval.time - 0.5 * interval.length, interval.length, middle)
+        return mass, heat * (middle / volume) ** power
 
-    def _fill(self, state: GasState, middle: jax.Array, length: jax.Array, volume: jax.Array) -> GasState:
+    def _fill(self, state: MassAndHeat, middle: jax.Array, length: jax.Array, volume: jax.Array) -> MassAndHeat:
         """The state after a flow of this length [s] about a time [s], at a constant volume [m^3]; of second order."""
         openings, blown = self._openings(middle), self.at_knots(self.mass_flow, middle)
         pressures, areas = (jnp.asarray([each[k] for each in openings]) for k in range(2))
         k = self.heat_capacity_ratio
         assert k is not None
 
-        def rates(state: GasState) -> GasState:
-            temperature = state.heat / state.mass
-            total, heat = blown, blown * jnp.where(blown > 0.0, self.temperature, temperature)
+        def rates(state: MassAndHeat) -> MassAndHeat:
+            mass, heat = state
+            temperature = heat / mass
+            total, gained = blown, blown * jnp.where(blown > 0.0, self.temperature, temperature)
             if openings:
-                inside = state.heat * self.gas_constant / volume
+                inside = heat * self.gas_constant / volume
                 upstream = jnp.where(pressures > inside, self.temperature, temperature)
                 flows = areas * self.orifice_flow(pressures, inside, self.gas_constant * upstream)
-                total, heat = total + jnp.sum(flows), heat + jnp.sum(flows * upstream)
-            return GasState(total, k * heat)
+                total, gained = total + jnp.sum(flows), gained + jnp.sum(flows * upstream)
+            return total, k * gained
 
         rate = rates(state)
         change = jax.jvp(rates, (state,), (rate,))[1]
+        old_mass, old_heat = state
         mass, heat = (
             old + one * length * mean_decay(-_ratio(two, one) * length)
             for old, one, two in zip(state, rate, change, strict=True)
         )
-        ends = jnp.stack([state.heat, *(outside * volume / self.gas_constant for outside, _ in openings)])
+        ends = jnp.stack([old_heat, *(outside * volume / self.gas_constant for outside, _ in openings)])
         more = k * blown * length
-        low = ends.min() + jnp.minimum(more, 0.0) * state.heat / state.mass
-        return GasState(mass, jnp.clip(heat, low, ends.max() + jnp.maximum(more, 0.0) * self.temperature))
+        low = ends.min() + jnp.minimum(more, 0.0) * old_heat / old_mass
+        return mass, jnp.clip(heat, low, ends.max() + jnp.maximum(more, 0.0) * self.temperature)
 
 
 def _ratio(part: jax.Array, whole: jax.Array) -> jax.Array:

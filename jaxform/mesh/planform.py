@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,7 +181,6 @@ _LOWEST = 0.01  # of the size, an element's height
 _CHUNK = 4_000_000  # pairs of points and sides processed together
 
 
-@dataclass(frozen=True)
 class PolygonCurve:
     """A closed polygon by the arc length along it.
 
@@ -191,14 +189,11 @@ class PolygonCurve:
         arc_length: To each corner and back to the first (k + 1,) [m].
     """
 
-    corners: Array
-    arc_length: Array
-
-    @classmethod
-    def through_corners(cls, corners: Array) -> PolygonCurve:
+    def __init__(self, corners: Array) -> None:
         """The curve through corners (k, 2) [m]."""
         steps = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-        return cls(corners, np.concatenate([[0.0], np.cumsum(steps)]))
+        self.corners = corners
+        self.arc_length = np.concatenate([[0.0], np.cumsum(steps)])
 
     @property
     def length(self) -> float:
@@ -275,7 +270,7 @@ def fill_polygon(
     """
     forced = np.zeros(len(corners), bool) if forced is None else forced
     corners, forced = outlines.blunt(corners, _TIP * size, forced)
-    curve = PolygonCurve.through_corners(corners)
+    curve = PolygonCurve(corners)
     narrow = None
     for flat in _FLATTER:
         # Teeth that the rim does not follow are no necks.
@@ -293,7 +288,7 @@ def _simplify(curve: PolygonCurve, tolerance: float, forced: NDArray[np.bool_]) 
     """The curve with fewer corners, where it then does not cross itself."""
     kept = outlines.essential_corners(curve.corners, np.full(len(curve.corners), tolerance), forced)
     corners = curve.corners[kept]
-    return curve if outlines.crossing_point(corners) is not None else PolygonCurve.through_corners(corners)
+    return curve if outlines.crossing_point(corners) is not None else PolygonCurve(corners)
 
 
 def _check_quality(points: Array, triangles: NDArray[np.int32], size: float) -> tuple[Array, NDArray[np.int32]]:
@@ -309,7 +304,7 @@ def _check_quality(points: Array, triangles: NDArray[np.int32], size: float) -> 
 
 def snap_to_polygon(corners: Array) -> Snap:
     """Puts the middles of a rim's edges on the polygon (k, 2) [m] in z = 0, where it is as near as a quarter edge."""
-    curve = PolygonCurve.through_corners(corners)
+    curve = PolygonCurve(corners)
 
     def snap(middles: Array, ends: Array, boundary: NDArray[np.bool_]) -> Array:
         moved, length = middles.copy(), np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)

@@ -205,7 +205,7 @@ def find_rims(mold: Mesh) -> list[Integers] | None:
         return None
     seams = find_seams(mold.positions, edges, SEAM * meshes.size(mold.positions))
     in_seam = np.bincount(rim, seams) > 0.5 * np.bincount(rim)
-    rims = [edges[rim == one] for one in np.unique(rim) if not in_seam[one]]
+    rims: list[Integers] = [edges[rim == one] for one in np.unique(rim) if not in_seam[one]]
     total = volumes.areas(mold.positions, mold.triangles).sum()
     largest = max((np.linalg.norm(_vector_area(mold.positions, one)) for one in rims), default=0.0)
     return rims if largest > _OPEN * total else None

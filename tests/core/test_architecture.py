@@ -1,7 +1,8 @@
-"""The packages: which may import which, and how long a module may be."""
+"""The packages: which may import which, and how many modules and records there may be."""
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 import subprocess
@@ -14,6 +15,7 @@ import pytest
 pytestmark = pytest.mark.quick
 
 ROOT = Path(__file__).parents[2]
+_MOST_RECORDS, _MOST_MODULES = 120, 200
 
 
 def test_packages_import_those_below_them_alone() -> None:
@@ -50,3 +52,31 @@ def test_only_kernels_ask_for_barriers_or_the_backend() -> None:
             assert "optimization_barrier" not in text, path
         if path.parent.name not in ("kernels", "core"):
             assert "default_backend" not in text, path
+
+
+def _records(path: Path) -> list[str]:
+    """Names of the named tuples and data classes of a module."""
+    classes = [one for one in ast.walk(ast.parse(path.read_text())) if isinstance(one, ast.ClassDef)]
+    return [
+        one.name
+        for one in classes
+        if "NamedTuple" in map(ast.unparse, one.bases)
+        or any("dataclass" in ast.unparse(decorator) for decorator in one.decorator_list)
+    ]
+
+
+def test_records_and_modules_stay_few() -> None:
+    # A record that only carries values between two functions, or a module of one function, belongs elsewhere.
+    modules = list((ROOT / "jaxform").rglob("*.py"))
+    names = [name for path in [*modules, *(ROOT / "optimize").rglob("*.py")] for name in _records(path)]
+    assert len(modules) <= _MOST_MODULES
+    assert len(names) <= _MOST_RECORDS
+    assert len(set(names)) == len(names)
+
+
+def test_a_run_needs_half_of_the_records() -> None:
+    code = (
+        "import sys, jaxform.runs.host; print(*(m.__file__ for n, m in sys.modules.items() if n.startswith('jaxform')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert sum(len(_records(Path(path))) for path in done.stdout.split()) <= _MOST_RECORDS // 2
