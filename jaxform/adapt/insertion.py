@@ -293,8 +293,17 @@ def _interpolate_nodes(
         contact_time=births.put(nodes.contact_time, jnp.where(stuck, contact_time, -1.0)),
         wall=births.put(nodes.wall, jnp.where(stuck, wall, 0)),
         tool=None if nodes.tool is None or tool is None else births.put(nodes.tool, tool),
+        temperature=None
+        if nodes.temperature is None
+        else births.put(nodes.temperature, _mean_of_ends(nodes.temperature, births)),
+        slip=None if nodes.slip is None else births.put(nodes.slip, _mean_of_ends(nodes.slip, births)),
         fields=fields,
     )
+
+
+def _mean_of_ends(values: jax.Array, births: _Insertions) -> jax.Array:
+    """The mean (n,) of values (n_node,) at the ends of the edges that the new nodes divide."""
+    return 0.5 * (values[births.ends[0]] + values[births.ends[1]])
 
 
 def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: BisectionHierarchy) -> jax.Array:

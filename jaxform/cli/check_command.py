@@ -187,7 +187,10 @@ def _contact_words(tool: Mold) -> str:
     """What nodes on a mold or tool do, in words."""
     law = tool.contact
     if isinstance(law, Coulomb):
-        return f"slide with friction (coulomb, friction {float(law.friction):.4g})"
+        low, high = float(law.friction.min()), float(law.friction.max())
+        if law.temperature is not None:
+            return f"slide with friction (coulomb, friction {low:.4g} to {high:.4g} over the sheet's temperature)"
+        return f"slide with friction (coulomb, friction {high:.4g})"
     return "stick" if law.sticks else "slide without friction" if isinstance(law, Slide) else f"follow {law.kind}"
 
 

@@ -80,7 +80,7 @@ def slide_within_facets(
     surfaces: tuple[ContactSurface, ...],
     frames: tuple[ToolFrame | None, ...],
     damping: jax.Array | None,
-) -> tuple[tuple[Vector, Vector], jax.Array, ContactLosses]:
+) -> tuple[tuple[Vector, Vector], jax.Array, ContactLosses, jax.Array]:
     """Takes nodes over a step as `slide_nodes` does, where they neither leave the tool nor cross an edge.
 
     Args:
@@ -93,7 +93,8 @@ def slide_within_facets(
 
     Returns:
         Positions [m] and velocities [m/s] after the step, three times (n,); which nodes stay within their triangles,
-        for which alone these are right: the others that lie on a tool are moved by `slide_nodes`; and the losses.
+        for which alone these are right: the others that lie on a tool are moved by `slide_nodes`; the losses, and
+        how far the nodes slide [m].
     """
     kick, length = steps
     first, normal, second, third, within = known.vectors()
@@ -101,7 +102,7 @@ def slide_within_facets(
     trial = nodes.free if carrier is None else minus(nodes.free, carrier)
     outward = materialize(dot(trial, normal))
     along = materialize(vector(w - outward * q for w, q in zip(trial, within, strict=True)))
-    slip = materialize(_limit_slip(along, -outward, nodes.tool, surfaces))
+    slip = materialize(_limit_slip(along, -outward, nodes, surfaces))
     on_tool = slip if carrier is None else vector(w + c for w, c in zip(slip, carrier, strict=True))
     end = materialize(vector(x + length * v for x, v in zip(nodes.positions, on_tool, strict=True)))
     away = minus(end if offset is None else minus(end, offset), first)
@@ -110,7 +111,8 @@ def slide_within_facets(
     stays = materialize(nodes.lies & known.holds(nodes.wall, nodes.tool) & inside & (outward <= 0.0))
     place = vector(x - height * q for x, q in zip(end, within, strict=True))
     moves = _moving(nodes.tool, surfaces, frames)
-    return (place, on_tool), stays, _losses(nodes, on_tool, normal, carrier, kick, damping, moves)
+    losses = _losses(nodes, on_tool, normal, carrier, kick, damping, moves)
+    return (place, on_tool), stays, losses, length * jnp.sqrt(dot(slip, slip))
 
 
 def _losses(
@@ -138,13 +140,14 @@ def _losses(
     )
 
 
-def _limit_slip(along: Vector, push: jax.Array, tool: jax.Array | None, surfaces: tuple[ContactSurface, ...]) -> Vector:
+def _limit_slip(along: Vector, push: jax.Array, nodes: LyingNodes, surfaces: tuple[ContactSurface, ...]) -> Vector:
     """The slip (n,) by the contact law of the surface that each node lies on, three times (n,) [m/s]."""
     slip = along
     for number, surface in enumerate(surfaces):
         if surface.mold.contact.sticks:
             continue
-        here, own = on_surface(tool, number), surface.mold.contact.limit_slip(along, push)
+        here, law = on_surface(nodes.tool, number), surface.mold.contact.at(nodes.temperature)
+        own = law.limit_slip(along, push)
         slip = own if here is True else vector(jnp.where(here, new, old) for new, old in zip(own, slip, strict=True))
     return slip
 

@@ -27,6 +27,7 @@ class LyingNodes(NamedTuple):
         mobile: 1 where a component may change, else 0, three times (n,).
         wall, tool: What they lie on, as in `Nodes`.
         lies: Which of them lie on a tool and do not stick to it.
+        temperature: As in `Nodes`.
     """
 
     positions: Vector
@@ -38,15 +39,15 @@ class LyingNodes(NamedTuple):
     wall: jax.Array
     tool: jax.Array | None
     lies: jax.Array
+    temperature: jax.Array | None = None
 
     @classmethod
     def of(cls, nodes: Nodes, free: Any, nodal: Any, masses: tuple[jax.Array, Any], lies: jax.Array) -> LyingNodes:
         """From nodes before the step, free velocities and forces, three times (n,), and mass and compliance."""
         before = vector(nodes.positions), vector(nodes.velocities)
         mass, compliance = masses
-        return cls(
-            *before, vector(free), vector(nodal), mass, mobile_components(compliance), nodes.wall, nodes.tool, lies
-        )
+        mobile = mobile_components(compliance)
+        return cls(*before, vector(free), vector(nodal), mass, mobile, nodes.wall, nodes.tool, lies, nodes.temperature)
 
 
 def mobile_components(compliance: Any) -> Vector:
@@ -63,8 +64,23 @@ class ContactLosses(NamedTuple):
     damping: Any = 0.0
 
 
+class ToolEnergies(NamedTuple):
+    """Work of tools that move and losses by friction on tools that rub [J], of each tool.
+
+    They are counted for each tool where there are several such; see `Scene.moving_tools` and `Scene.rubbing_tools`.
+    """
+
+    work: tuple[Any, ...] = ()
+    friction: tuple[Any, ...] = ()
+
+
+def split_by_tool(values: jax.Array | float, tool: jax.Array | None, numbers: tuple[int, ...]) -> list[jax.Array]:
+    """Values (n,) of the nodes that touch each of these tools, 0 at the others; one vector for each tool."""
+    return [jnp.where(tool == number, values, 0.0) for number in numbers]
+
+
 class Slid(NamedTuple):
-    """The nodes (n,) after the step: positions [m], velocities [m/s], `wall`, and the losses.
+    """The nodes (n,) after the step: positions [m], velocities [m/s], `wall`, the losses, and how far they slid [m].
 
     Also whether they left the surface, and whether that was over a ridge or a rim: such nodes moved along it so far.
     """
@@ -75,6 +91,7 @@ class Slid(NamedTuple):
     left: jax.Array
     over: jax.Array
     losses: ContactLosses
+    distance: jax.Array
 
 
 def lying_nodes(stuck: jax.Array, wall: jax.Array) -> jax.Array:
@@ -112,7 +129,13 @@ def slide_nodes(
     moved = vector(x + steps[1] * v for x, v in zip(nodes.positions, nodes.free, strict=True))
     none = jnp.zeros_like(nodes.mass)
     found = Slid(
-        moved, nodes.free, nodes.wall, nodes.lies & False, nodes.lies & False, ContactLosses(none, none, none, none)
+        moved,
+        nodes.free,
+        nodes.wall,
+        nodes.lies & False,
+        nodes.lies & False,
+        ContactLosses(none, none, none, none),
+        none,
     )
     for number, (surface, frame) in enumerate(zip(surfaces, frames, strict=True)):
         if surface.mold.contact.sticks:
@@ -135,6 +158,7 @@ def _slide_on(
 ) -> Slid:
     """The nodes after the step, of which those that are `here` (n,) lie on this surface."""
     kick, length = steps
+    surface = surface.at(nodes.temperature)
     carrier = vector(jnp.zeros_like(nodes.mass) + (0.0 if frame is None else frame.velocity[k]) for k in range(3))
     offset = vector(
         (0.0 * c if frame is None else frame.offset[k] - length * c) for k, c in enumerate(carrier)
@@ -169,6 +193,12 @@ def _slide_on(
     losses = _losses(nodes, on_tool, normal, carrier, kick, damping, moves=frame is not None)
     # A tool that moves does work where it turns a node's way.
     turned = nodes.mass * dot(minus(velocities, on_tool), carrier)
+    # Friction acts along the way that was gone: none in a valley, where the next face stops the node.
+    whole = length * jnp.sqrt(dot(slip, slip))
+    missed = losses.friction * jnp.where(
+        whole > end.distance, 1.0 - end.distance / jnp.where(whole > 0.0, whole, 1.0), 0.0
+    )
+    friction = losses.friction - missed + nodes.mass * end.rubbed
     # The forces' work on the way that was not straight, beyond that at the velocities.
     means = (0.5 * length * (v + w) for v, w in zip(on_tool, velocities, strict=True))
     bent = dot(nodes.nodal, minus(minus(positions, nodes.positions), vector(means)))
@@ -178,7 +208,12 @@ def _slide_on(
         jnp.where(leaves | end.off, 0, end.side * (end.triangle + 1)),
         leaves | end.off,
         end.off,
-        losses._replace(work=losses.work + turned, impact=losses.impact + nodes.mass * end.lost + bent),
+        losses._replace(
+            work=losses.work + turned,
+            friction=friction,
+            impact=losses.impact + nodes.mass * end.lost + bent + missed,
+        ),
+        end.distance,
     )
 
 
@@ -227,7 +262,7 @@ def land_and_slide(
     mobile: Vector,
     *,
     differentiable: bool,
-) -> tuple[Vector, Vector, jax.Array]:
+) -> tuple[Vector, Vector, jax.Array, jax.Array]:
     """Nodes (n,) that come to a point of a surface lose their speed into it, and slide on by its contact law.
 
     Args:
@@ -240,7 +275,8 @@ def land_and_slide(
         differentiable: Whether loops have a fixed number of passes.
 
     Returns:
-        Positions [m] and velocities [m/s] in the frame of the surface, three times (n,), and `wall`.
+        Positions [m] and velocities [m/s] in the frame of the surface, three times (n,), `wall`, and how far
+        they slide on [m].
     """
     triangle, side = jnp.maximum(jnp.abs(wall) - 1, 0), jnp.where(wall < 0, -1, 1)
     _, _, normal = facets(surface.mold, triangle, side)
@@ -257,4 +293,4 @@ def land_and_slide(
     place = vector(jnp.where(off, p, x) for p, x in zip(point, place, strict=True))
     new = vector(jnp.where(off, s, v) for s, v in zip(slip, end.velocity, strict=True))
     wall = jnp.where(off, wall, end.side * (end.triangle + 1))
-    return place, new, wall
+    return place, new, wall, jnp.where(off, 0.0, end.distance)

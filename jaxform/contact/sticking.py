@@ -58,7 +58,8 @@ class Landing(NamedTuple):
     Also the number of the step in which each came into contact (n_node,), and the kinetic energy lost so far [J]. Where
     it is kept, the impact (6, n_node): the position [m] of each such node before that step, and its velocity [m/s].
     Where a tool moves, the work that it did on nodes as they came into contact [J]. Where it is recorded, what nodes
-    land on in each step (n_step, n_node): as `encode_landing` has it, -1 for none.
+    land on in each step (n_step, n_node): as `encode_landing` has it, -1 for none. Where several tools move, the work
+    of each.
     """
 
     nodes: Nodes
@@ -67,6 +68,7 @@ class Landing(NamedTuple):
     impact: jax.Array | None = None
     work: jax.Array | None = None
     record: jax.Array | None = None
+    works: tuple[jax.Array, ...] = ()
 
 
 class ContactStep(NamedTuple):
@@ -346,7 +348,13 @@ def place_on_surfaces(
     for number, surface in enumerate(surfaces):
         here = (chosen >= firsts[number]) & (chosen < firsts[number + 1])
         own = jnp.where(here, chosen - firsts[number], -1)
+        before = landing.work
         landing = _place_on_surface(landing, now, mass, surface, number, own, differentiable=differentiable)
+        if before is not None and landing.work is not None and landing.works and surface.mold.motion is not None:
+            place = sum(each.mold.motion is not None for each in surfaces[:number])
+            works = list(landing.works)
+            works[place] = works[place] + (landing.work - before)
+            landing = landing._replace(works=tuple(works))
     return landing
 
 
@@ -375,13 +383,17 @@ def _place_on_surface(
     if impact is not None:
         impact = jnp.where(lands, jnp.concatenate([before, velocities]), impact)
     new: Any = 0.0
+    slip = nodes.slip
     if not mold.contact.sticks and compliance is not None:
         left = jnp.where(lands, (1.0 - beta) * now.length, 0.0)
         mobile = mobile_components(compliance)
         flying = unstack_rows(point), unstack_rows(velocities)
-        place, speed, wall = land_and_slide(surface, *flying, wall, left, mobile, differentiable=differentiable)
+        place, speed, wall, distance = land_and_slide(
+            surface.at(nodes.temperature), *flying, wall, left, mobile, differentiable=differentiable
+        )
         lost = 0.5 * (dot(flying[1], flying[1]) - dot(speed, speed))
         point, new, loss = jnp.stack(place), jnp.stack(speed), mass * lost
+        slip = None if slip is None else slip + jnp.where(lands, distance, 0.0)
     if frame is not None and work is not None:
         # The tool gives them its own velocity; what they had beside it is lost.
         offset, speed = frame.offset[:, None], frame.velocity[:, None]
@@ -402,12 +414,14 @@ def _place_on_surface(
             contact_time=jnp.where(lands, time, nodes.contact_time),
             wall=jnp.where(lands, wall, nodes.wall),
             tool=None if nodes.tool is None else jnp.where(lands, number, nodes.tool),
+            slip=slip,
         ),
         step=jnp.where(lands, now.number, landing.step),
         loss=landing.loss + jnp.sum(jnp.where(lands, loss, 0.0)),
         impact=impact,
         work=work,
         record=landing.record,
+        works=landing.works,
     )
 
 

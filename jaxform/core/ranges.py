@@ -94,6 +94,7 @@ RANGES: dict[str, Range] = {
     "mold.motion.time": Range("s", increasing=True),
     "mold.motion.displacement": Range("m"),
     "mold.contact.friction": Range(least=0.0),
+    "mold.contact.temperature": Range("degC", above=-273.15, most=3000.0, increasing=True),
     "mold.temperature": Range("degC", above=-273.15, most=3000.0),
     "mold.heat_transfer": Range("W/(m^2 K)", least=0.0),
     "material.density": Range("kg/m^3", above=0.0),

@@ -150,7 +150,13 @@ def _free_flight(
 ) -> tuple[sticking.Landing, sticking.ContactStep]:
     account = moved.account
     flying = sticking.Landing(
-        moved.nodes, moved.landing_step, account.contact_loss, moved.impact, account.tool_work, moved.record
+        moved.nodes,
+        moved.landing_step,
+        account.contact_loss,
+        moved.impact,
+        account.tool_work,
+        moved.record,
+        account.by_tool.work,
     )
     return flying, sticking.ContactStep(length, now.begin + moved.count * now.length, moved.count - 1, frames)
 
@@ -162,7 +168,12 @@ def _apply_landing(moved: WindowState, landing: sticking.Landing) -> WindowState
         landing_step=landing.step,
         impact=landing.impact,
         record=landing.record,
-        account=dataclasses.replace(moved.account, contact_loss=landing.loss, tool_work=landing.work),
+        account=dataclasses.replace(
+            moved.account,
+            contact_loss=landing.loss,
+            tool_work=landing.work,
+            by_tool=moved.account.by_tool._replace(work=landing.works),
+        ),
     )
 
 

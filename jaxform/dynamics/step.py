@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from jaxform.contact.broad_phase import Candidates
 from jaxform.contact.facet_slip import KnownFacets, find_facets, slide_within_facets
-from jaxform.contact.sliding import ContactLosses, LyingNodes, lying_nodes, slide_nodes
+from jaxform.contact.sliding import ContactLosses, LyingNodes, ToolEnergies, lying_nodes, slide_nodes, split_by_tool
 from jaxform.dynamics.contact_step import check_free_flight, replay_contact, search_contact, update_broad_phase
 from jaxform.dynamics.edge_step import hold_sides_at_edges
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
@@ -45,7 +45,7 @@ from jaxform.mechanics.membrane import vector
 from jaxform.model.field import Surroundings, advance_fields
 from jaxform.model.scene import Scene
 from jaxform.sheet.energy_balance import pressure_at, rim_ends, rim_swept_volume
-from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, update_velocity
+from jaxform.sheet.scheme import add_by_tool, add_gravity, apply_tool_velocity, update_velocity
 from jaxform.tools.mold import ToolFrame, tool_velocity
 
 
@@ -108,6 +108,7 @@ def step(
             contact_loss=account.contact_loss if taken.slid is None else account.contact_loss + taken.impact,
             friction_loss=None if account.friction_loss is None else account.friction_loss + taken.friction,
             viscous_loss=_add_viscous_loss(moving, length, taken.remembered),
+            by_tool=jax.tree.map(jnp.add, account.by_tool, taken.by_tool),
         ),
         memory=_update_memory(moving, taken.remembered),
         count=moving.count + jnp.where(moving.halted, 0, 1),
@@ -131,7 +132,7 @@ def _contact_change(taken: _AdvancedNodes) -> dict[str, jax.Array]:
     """The nodes' contact after the step, where nodes may slide."""
     if taken.slid is None:
         return {}
-    return {"wall": taken.slid.wall, "contact_time": taken.slid.contact_time}
+    return {"wall": taken.slid.wall, "contact_time": taken.slid.contact_time, "slip": taken.slid.distance}
 
 
 def _add_rim_volume(moved: WindowState, halted: jax.Array, before: jax.Array | None, now: WindowData) -> WindowState:
@@ -199,13 +200,14 @@ def _advance_fields(
 
 
 class _SlidContact(NamedTuple):
-    """Contact of nodes (n,) after a step in which they may have slid: `wall` and `contact_time` as in `Nodes`.
+    """Contact of nodes (n,) after a step in which they may have slid: `wall`, `contact_time`, and `slip` as in `Nodes`.
 
     Also whether they left a tool over its edge, and the facets that they lie on; None where these are not kept.
     """
 
     wall: jax.Array
     contact_time: jax.Array
+    distance: jax.Array
     over: jax.Array
     facets: KnownFacets | None = None
 
@@ -214,7 +216,7 @@ class _AdvancedNodes(NamedTuple):
     """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
 
     And what elements remember, None where they have no viscous modes; the work of tools that move, and losses by
-    friction and impact [J]; the contact of nodes that slid, where nodes may.
+    friction and impact [J]; the contact of nodes that slid, where nodes may; work and friction of single tools.
     """
 
     positions: jax.Array | membrane.Vector
@@ -227,6 +229,13 @@ class _AdvancedNodes(NamedTuple):
     friction: jax.Array | float = 0.0
     impact: jax.Array | float = 0.0
     slid: _SlidContact | None = None
+    by_tool: ToolEnergies = ToolEnergies()
+
+
+def _no_energies(scene: Scene, real: Any) -> ToolEnergies:
+    """No energies of tools, where these are counted for each."""
+    zero = jnp.zeros((), real)
+    return ToolEnergies(*((zero,) * len(numbers) for numbers in (scene.moving_tools, scene.rubbing_tools)))
 
 
 def _advance_nodes(
@@ -244,6 +253,7 @@ def _advance_nodes(
     nodes = own.stuck, now.active.mass, now.active.compliance
     velocities, losses = update_velocity(nodal, own.velocities, nodes, kick, scene.solver.damping)
     work: jax.Array | float = 0.0
+    by_tool = _no_energies(scene, own.velocities.dtype)
     carrier = tool_velocity(frames, own.tool)
     if carrier is not None:
         both = own.velocities, velocities
@@ -252,13 +262,14 @@ def _advance_nodes(
         # Of a halted window nothing moves, and nothing is done.
         velocities = [jnp.where(moving.halted, old, new) for old, new in zip(both[0], velocities, strict=True)]
         work = jnp.where(moving.halted, 0.0, work)
+        by_tool = add_by_tool(by_tool, scene, own.tool, jnp.where(moving.halted, 0.0, done))
     positions = own.positions + length * jnp.stack(velocities)
     rest, modes = None, now.losing
     if modes is not None and now.recursion is not None:
         rest = update_history(load, now.active.packed.elements, modes, now.recursion)
     loss = total(losses) if losses is not None else 0.0
-    taken = _AdvancedNodes(positions, jnp.stack(velocities), volume, loss, None, rest, work)
-    if not scene.slides:
+    taken = _AdvancedNodes(positions, jnp.stack(velocities), volume, loss, None, rest, work, by_tool=by_tool)
+    if own.slip is None:
         return taken
     lies = lying_nodes(own.stuck, own.wall) & ~moving.halted
     lying = LyingNodes.of(own, velocities, nodal, nodes[1:], lies)
@@ -272,7 +283,13 @@ def _advance_nodes(
         work=work + total(lost.work),
         friction=total(lost.friction),
         impact=total(lost.impact),
-        slid=_SlidContact(slid.wall, jnp.where(slid.left, -1.0, own.contact_time), slid.over),
+        by_tool=add_by_tool(by_tool, scene, own.tool, lost.work, lost.friction),
+        slid=_SlidContact(
+            slid.wall,
+            jnp.where(slid.left, -1.0, own.contact_time),
+            own.slip + jnp.where(lies, slid.distance, 0.0),
+            slid.over,
+        ),
     )
 
 
@@ -297,32 +314,40 @@ def _advance_nodes_in_blocks(
     own = moving.nodes
     moves, slides = any(frame is not None for frame in frames), scene.slides
 
-    surfaces, damping = scene.surfaces, scene.solver.damping
+    surfaces, damping, worked = scene.surfaces, scene.solver.damping, scene.moving_tools
+    split_count = len(worked) + len(scene.rubbing_tools)
 
-    def work(old: Any, table: Any, nodes: Any, wall: Any, tool: Any, facets: Any) -> Any:
-        (x,), (y,), (z,), before = old
+    def work(old: Any, table: Any, nodes: Any, wall: Any, tool: Any, facets: Any, temperature: Any) -> Any:
+        (x,), (y,), (z,), before, *slipped = old
         nodal, sums = add_gravity(gather_shares(corners, table), nodes[1], scene.solver.gravity), []
         velocities, losses = update_velocity(nodal, before, nodes, kick, damping)
         if moves:
             carrier = tool_velocity(frames, tool)
             velocities, held, done = apply_tool_velocity(nodal, (before, velocities), nodes, wall, kick, carrier)
-            sums, losses = [done], None if losses is None else jnp.where(held, 0.0, losses)
+            sums = [done, *split_by_tool(done, tool, worked)]
+            losses = None if losses is None else jnp.where(held, 0.0, losses)
         new = vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True))
         if not slides:
             new = materialize(new)
             return [*([x] for x in new), velocities], sums if losses is None else [losses, *sums]
-        there = dataclasses.replace(own, positions=(x, y, z), velocities=before, wall=wall, tool=tool)
+        there = dataclasses.replace(
+            own, positions=(x, y, z), velocities=before, wall=wall, tool=tool, temperature=temperature
+        )
         lies = lying_nodes(nodes[0], wall)
         lying = LyingNodes.of(there, materialize(velocities), nodal, nodes[1:], lies)
-        (place, on_tool), stays, lost = slide_within_facets(lying, facets, (kick, length), surfaces, frames, damping)
+        slid = slide_within_facets(lying, facets, (kick, length), surfaces, frames, damping)
+        (place, on_tool), stays, lost, distance = slid
         # Those that leave their triangle are left for `_walk_nodes`.
         new = _choose(stays, place, _choose(lies, (x, y, z), new))
         velocities = _choose(stays, on_tool, _choose(lies, before, velocities))
-        sums = [jnp.where(stays, lost.work, jnp.where(lies, 0.0, each)) for each in sums]
-        sums += [jnp.where(stays, each, 0.0) for each in (lost.friction, lost.impact)]
+        done = [jnp.where(stays, lost.work, jnp.where(lies, 0.0, each)) for each in sums[:1]]
+        rubbed, impact = (jnp.where(stays, each, 0.0) for each in (lost.friction, lost.impact))
+        sums = [*done, *(x for each in done for x in split_by_tool(each, tool, worked))]
+        sums += [*split_by_tool(rubbed, tool, scene.rubbing_tools), rubbed, impact]
         losses = None if losses is None else jnp.where(stays, lost.damping, jnp.where(lies, 0.0, losses))
         walks = lies & ~stays
-        rows = [*([x] for x in materialize(new)), velocities, [walks]]
+        slipped = slipped[0][0] + jnp.where(stays, distance, 0.0)
+        rows = [*([x] for x in materialize(new)), velocities, [slipped], [walks]]
         return rows, [*([] if losses is None else [losses]), *sums, walks]
 
     inputs = (
@@ -331,24 +356,38 @@ def _advance_nodes_in_blocks(
         own.wall if moves or slides else None,
         own.tool if moves or slides else None,
         moving.facets,
+        own.temperature,
     )
     into = [*(x[None] for x in own.positions), own.velocities]
-    if slides:
-        into.append(jnp.zeros_like(own.stuck)[None])
+    if own.slip is not None:
+        into += [own.slip[None], jnp.zeros_like(own.stuck)[None]]
     damped = damping is not None
-    # Positions and velocities are each read by what is written there alone, so that neither need be copied.
+    # Positions, velocities and slip are each read by what is written there alone, so that neither need be copied.
     new, sums = over_blocks(
-        work, elements.node_block_count, inputs, into, sums=damped + moves + 3 * slides, update=4, kept=slides or moves
+        work,
+        elements.node_block_count,
+        inputs,
+        into,
+        sums=damped + moves + split_count + 3 * slides,
+        update=4 + slides,
+        kept=slides or moves,
     )
     loss, *sums = sums if damped else (0.0, *sums)
     taken = _AdvancedNodes(
         vector(row for (row,) in new[:3]), new[3], volume, loss, corners, rest, sums[0] if moves else 0.0
     )
+    taken = taken._replace(by_tool=ToolEnergies(*_split_at(sums[moves : moves + split_count], len(worked))))
     if not slides:
         return taken
     friction, impact, walking = sums[-3:]
-    taken = taken._replace(friction=friction, impact=impact)
-    return _walk_nodes(taken, moving, new[4][0], walking > 0.0, (kick, length), scene, now, frames)
+    contact = _SlidContact(own.wall, own.contact_time, new[4][0], jnp.zeros_like(own.stuck), moving.facets)
+    taken = taken._replace(friction=friction, impact=impact, slid=contact)
+    return _walk_nodes(taken, moving, new[5][0], walking > 0.0, (kick, length), scene, now, frames)
+
+
+def _split_at(values: list[jax.Array], place: int) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+    """The values before a place and those from there on."""
+    return tuple(values[:place]), tuple(values[place:])
 
 
 def _choose(chosen: jax.Array, new: membrane.Vector, old: membrane.Vector) -> membrane.Vector:
@@ -359,8 +398,11 @@ def _choose(chosen: jax.Array, new: membrane.Vector, old: membrane.Vector) -> me
 _LANES = 16  # nodes that are walked together
 
 
-_Walking = tuple[membrane.Vector, jax.Array, _SlidContact, ContactLosses]
-"""What a walk changes of nodes (n,): their positions, velocities and contact, and the losses of all so far [J]."""
+_Walking = tuple[membrane.Vector, jax.Array, _SlidContact, ContactLosses, ToolEnergies]
+"""What a walk changes of nodes (n,): their positions, velocities and contact, and the energies of all so far [J].
+
+The last are the energies of single tools.
+"""
 
 
 def _walk_nodes(
@@ -375,34 +417,39 @@ def _walk_nodes(
 ) -> _AdvancedNodes:
     """Advances the nodes (n,) that leave their triangles, which were left where they were; not differentiable."""
     own, damping, corners = moving.nodes, scene.solver.damping, taken.room
-    assert corners is not None and moving.facets is not None
+    assert corners is not None and taken.slid is not None
     slots = now.active.packed.elements.slots
 
     def walk(node: jax.Array, before: _Walking, lies: jax.Array) -> _Walking:
         """The nodes with these numbers (n,), which were like this before."""
-        stuck, mass, compliance, tool = jax.tree.map(
-            lambda values: membrane.gather(values, node), (own.stuck, now.active.mass, now.active.compliance, own.tool)
-        )
+        every = own.stuck, now.active.mass, now.active.compliance, own.tool, own.temperature
+        stuck, mass, compliance, tool, temperature = jax.tree.map(lambda values: membrane.gather(values, node), every)
         table = membrane.gather(slots, node), jnp.int32(len(slots))
         nodal = add_gravity(gather_shares(corners, table), mass, scene.solver.gravity)
-        places, speeds, touching, lost = before
+        places, speeds, touching, lost, by_tool = before
         old = vector(speeds)
         free, _ = update_velocity(nodal, old, (stuck, mass, compliance), steps[0], damping)
-        there = dataclasses.replace(own, positions=places, velocities=old, wall=touching.wall, tool=tool)
+        there = dataclasses.replace(
+            own, positions=places, velocities=old, wall=touching.wall, tool=tool, temperature=temperature
+        )
         lying = LyingNodes.of(there, free, nodal, (mass, compliance), lies)
         slid = materialize(slide_nodes(lying, steps, scene.surfaces, frames, damping, differentiable=False))
         time = jnp.where(slid.left, -1.0, touching.contact_time)
-        contact = _SlidContact(slid.wall, time, slid.over, find_facets(slid.wall, tool, lying.mobile, scene.surfaces))
-        losses = jax.tree.map(lambda each: jnp.sum(jnp.where(lies, each, 0.0)), slid.losses)
-        total = jax.tree.map(jnp.add, lost, losses)
-        return slid.positions, jnp.stack(slid.velocities), contact, total
+        far = touching.distance + jnp.where(lies, slid.distance, 0.0)
+        known = find_facets(slid.wall, tool, lying.mobile, scene.surfaces)
+        contact = _SlidContact(slid.wall, time, far, slid.over, known)
+        new = ContactLosses(*(jnp.where(lies, each, 0.0) for each in slid.losses))
+        total = jax.tree.map(lambda before, each: before + jnp.sum(each), lost, new)
+        by_tool = add_by_tool(by_tool, scene, tool, new.work, new.friction)
+        return slid.positions, jnp.stack(slid.velocities), contact, total, by_tool
 
     none = jnp.zeros((), own.velocities.dtype)
     begun = (
         vector(taken.positions),
         taken.velocities,
-        _SlidContact(own.wall, own.contact_time, jnp.zeros_like(walks), moving.facets),
+        taken.slid,
         ContactLosses(none, none, none, none),
+        taken.by_tool,
     )
 
     def walk_all(begun: _Walking) -> _Walking:
@@ -411,7 +458,7 @@ def _walk_nodes(
         new = walk(jnp.arange(walks.size), begun, walks)
         return jax.tree.map(lambda one, other: jnp.where(walks, one, other) if one.ndim else one, new, begun)
 
-    positions, velocities, slid, losses = lax_cond_once(any_walks, walk_all, materialize(begun))
+    positions, velocities, slid, losses, by_tool = lax_cond_once(any_walks, walk_all, materialize(begun))
     return taken._replace(
         positions=positions,
         velocities=velocities,
@@ -420,6 +467,7 @@ def _walk_nodes(
         friction=taken.friction + losses.friction,
         impact=taken.impact + losses.impact,
         loss=taken.loss + losses.damping,
+        by_tool=by_tool,
     )
 
 

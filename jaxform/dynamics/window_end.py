@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxform.contact.sliding import split_by_tool
 from jaxform.dynamics.contact_step import FAR
 from jaxform.dynamics.window_state import ContactSearch, WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once, over_blocks
@@ -55,7 +56,8 @@ def end_window(
             peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
             kinetic_peak=jnp.maximum(state.account.kinetic_peak, kinetic),
             kinetic_excess=behind - kinetic,
-            tool_last=tool,
+            tool_last=tool[0] if tool else None,
+            last_by_tool=tuple(tool[1:]),
         ),
         control=dataclasses.replace(state.control, step_length=now.length, bound=now.bound),
         time=state.time + moving.count * now.length,
@@ -147,12 +149,12 @@ def _next_span(
     return jnp.where(rejected, jnp.minimum(SHORT_WINDOW, longest), span)
 
 
-WindowEnd = tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]
+WindowEnd = tuple[jax.Array, jax.Array, jax.Array, list[jax.Array]]
 """Quantities at a window's end.
 
 Kinetic energy [J], and that of the velocities, which are half a step behind. The largest coordinate [m], counted from
 the middle of sheet and mold where there is a mold; not finite where any position is not. The work of the tool with the
-present force [J]; None where it rests.
+present force [J], and where several move that of each; nothing where it rests.
 """
 
 
@@ -187,7 +189,8 @@ def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> 
             ahead, held, _ = apply_tool_velocity(nodal, (velocities, ahead), nodes, wall, now.length, carrier)
             triples = zip(nodal, velocities, ahead, strict=True)
             pulls = [(nodes[1] * (new - old) - now.length * own) * old for own, old, new in triples]
-            done = [jnp.where(held, 0.5 * sum(pulls), 0.0)]
+            each = jnp.where(held, 0.5 * sum(pulls), 0.0)
+            done = [each, *split_by_tool(each, tool, scene.moving_tools)]
         half = 0.5 * nodes[1]
         energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
         away = positions if middle is None else [x - middle[k] for k, x in enumerate(positions)]
@@ -200,9 +203,9 @@ def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> 
     nodes = moving.nodes.stuck, active.mass, active.compliance
     touched = (moving.nodes.wall, moving.nodes.tool) if moves else (None, None)
     inputs = gather_table(elements), nodes, positions, moving.nodes.velocities, *touched
-    sums = 2 + moves
+    sums = 2 + moves + len(scene.moving_tools)
     _, (kinetic, behind, *tool, largest) = over_blocks(work, elements.node_block_count, inputs, [], sums=sums, most=1)
-    return (kinetic, behind, largest, tool[0] if tool else None), corners
+    return (kinetic, behind, largest, tool), corners
 
 
 def _health(

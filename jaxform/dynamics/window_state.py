@@ -12,6 +12,7 @@ from jaxform.adapt.remeshing import initial_mesh
 from jaxform.contact.broad_phase import BroadPhaseCheck
 from jaxform.contact.edge_contact import HeldSides, KnownSides, no_held_sides
 from jaxform.contact.facet_slip import KnownFacets
+from jaxform.contact.sliding import ToolEnergies
 from jaxform.contact.sticking import FirstHits
 from jaxform.core.pytree import as_real, pytree
 from jaxform.loads import first_pressure
@@ -140,6 +141,14 @@ def _first_memory(scene: Scene, mesh: RefinedMesh | None, heat: ThermalState | N
     return modes.initial_stress(scene.tables.sheet.inverse_metric if pairs is None else pairs.inverse_metric)
 
 
+def _contact_temperature(scene: Scene, mesh: RefinedMesh | None) -> jax.Array | None:
+    """The initial temperature of the nodes (n_node,) [degC]; None where no contact law needs it."""
+    temperature = scene.parison.temperature
+    if temperature is None or not any(surface.mold.contact.needs_temperature for surface in scene.surfaces):
+        return None
+    return temperature if mesh is None else temperature[mesh.node]
+
+
 def initial_state(scene: Scene) -> State:
     """The sheet at rest in its initial shape."""
     mesh = None if scene.adaptivity is None else initial_mesh(scene, scene.adaptivity)
@@ -166,6 +175,8 @@ def initial_state(scene: Scene) -> State:
             contact_time=contact_time,
             wall=wall,
             tool=tool,
+            temperature=_contact_temperature(scene, mesh),
+            slip=jnp.zeros_like(positions[0]) if scene.slides else None,
             mode=noise_vector(positions) if scene.solver.sharp_step else None,
             fields=fields,
         ),
@@ -180,6 +191,8 @@ def initial_state(scene: Scene) -> State:
             friction_loss=zero if scene.slides else None,
             rim=None if scene.tables.rim is None else zero,
             gravity_work=None if scene.solver.gravity is None else zero,
+            by_tool=ToolEnergies(*((zero,) * len(numbers) for numbers in (scene.moving_tools, scene.rubbing_tools))),
+            last_by_tool=(zero,) * len(scene.moving_tools),
         ),
         control=Control(
             step_length=zero,

@@ -23,7 +23,7 @@ from jaxform.mesh.grids import Profile
 from jaxform.mesh.meshes import Mesh
 from jaxform.model.part import Part, make_part, select_mold_files
 from jaxform.tools import footprint, mold, molds, parting
-from jaxform.tools.contact_law import make_contact_law
+from jaxform.tools.contact_law import ContactLaw, make_contact_law
 from jaxform.tools.distances import Distances, interpolate, weights
 from jaxform.tools.mold import Mold, make_mold
 from jaxform.tools.slivers import collapse_short_sides, has_slivers
@@ -366,9 +366,17 @@ def _build_surface(
 ) -> Mold:
     """The mold or a tool of this name from its table."""
     shape, _ = _make_surface(document, table, store, read)
-    law = make_contact_law(table.contact, table.friction if table.contact == "coulomb" else None)
+    law = _contact_law(table)
     warmth = {key: getattr(table, key, None) for key in ("temperature", "heat_transfer")}
     return make_mold(shape.vertices, shape.triangles, shape.dropped, moves, law, name, **warmth)
+
+
+def _contact_law(table: schema.PlacedTable) -> ContactLaw:
+    """The contact law of a table."""
+    friction = table.friction if table.contact == "coulomb" else None
+    if isinstance(friction, schema.FrictionTable):
+        return make_contact_law(table.contact, friction.value, temperature=friction.at)
+    return make_contact_law(table.contact, friction)
 
 
 def _make_surface(

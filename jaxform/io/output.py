@@ -125,6 +125,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         "initial_thickness": np.asarray(scene.parison.thickness, float),
         "contact_time": np.asarray(result.contact_time, float),
         "tool": np.asarray(result.tool, np.int32),
+        **({} if result.slip is None else {"slip_distance": np.asarray(result.slip, float)}),
         **_temperature(scene.parison, len(result.thickness), result.temperature),
         **{name: np.asarray(values, float) for name, values in result.fields.items()},
     }
@@ -164,6 +165,7 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
             "initial_thickness": thickness,
             "contact_time": np.where(np.asarray(parison.clamped)[:first], 0.0, -1.0),
             "tool": _initial_tool(scene)[:first],
+            **({"slip_distance": np.zeros(first)} if scene.slides else {}),
             **_temperature(parison, first),
             **{name: np.asarray(field.start(parison.positions), float)[:first] for name, field in scene.fields.items()},
         },

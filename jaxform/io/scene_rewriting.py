@@ -169,7 +169,8 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
         data, sections = (ours or [data.setdefault("pressure", {})])[0], []
     for section in sections:
         data = data.setdefault(section, {})
-    data[last] = value
+    table = data.get(last)
+    data[last] = table | {"value": value} if last == "friction" and isinstance(table, dict) else value
 
 
 def _find_tool(tables: Any, name: str) -> int | None:

@@ -265,6 +265,8 @@ class Nodes:
             came from the far side of its normal; 0 where it touches none.
         tool: The number of the tool that a node touches (n_node,), as in `Scene.surfaces`, or touched last; None where
             there is one at most.
+        temperature: Of the sheet (n_node,) [degC] in the middle of the window; None where no contact law needs it.
+        slip: The length of the way (n_node,) [m] that a node has slid along tools so far; None where none can slide.
         mode: Of the highest frequency (3, n_node); None where it is not measured.
         fields: The scene's own, by name (n_node,).
     """
@@ -277,6 +279,12 @@ class Nodes:
     mode: jax.Array | None = dataclasses.field(metadata={"rule": FieldRule()})
     fields: dict[str, jax.Array] = dataclasses.field(metadata={"rule": FieldRule(smooth=True, absent=0.0)})
     tool: jax.Array | None = dataclasses.field(default=None, metadata={"rule": FieldRule(beyond=0, absent=-1)})
+    temperature: jax.Array | None = dataclasses.field(
+        default=None, metadata={"rule": FieldRule(smooth=True, beyond=0.0, absent=0.0)}
+    )
+    slip: jax.Array | None = dataclasses.field(
+        default=None, metadata={"rule": FieldRule(smooth=True, beyond=0.0, absent=0.0)}
+    )
 
     def map_fields(self, function: Callable[[Any, FieldRule], Any]) -> Nodes:
         """The nodes with a function applied to each field and its rule."""

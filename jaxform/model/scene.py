@@ -203,6 +203,18 @@ class Scene:
         """True where nodes may lie on a tool without sticking to it."""
         return any(not surface.mold.contact.sticks for surface in self.surfaces)
 
+    @property
+    def moving_tools(self) -> tuple[int, ...]:
+        """Numbers of the surfaces that move, where there are several: the work of each is counted by itself."""
+        moving = [number for number, surface in enumerate(self.surfaces) if surface.mold.motion is not None]
+        return tuple(moving) if len(moving) > 1 else ()
+
+    @property
+    def rubbing_tools(self) -> tuple[int, ...]:
+        """Numbers of the surfaces with friction, where there are several: the loss on each is counted by itself."""
+        rubbing = [number for number, surface in enumerate(self.surfaces) if surface.mold.contact.has_friction]
+        return tuple(rubbing) if len(rubbing) > 1 else ()
+
     def frames(self, begin: jax.Array, end: jax.Array) -> tuple[ToolFrame | None, ...]:
         """The frames of the surfaces in a step from one time to another [s]; None of those at rest."""
         motions = [surface.mold.motion for surface in self.surfaces]

@@ -20,7 +20,7 @@ from jaxform.model.field import Field
 from jaxform.model.scene import Parison, Refinement, Solver
 from jaxform.tools.mold import Mold
 
-_RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
+_RESERVED = ("reference", "thickness", "initial_thickness", "contact_time", "slip_distance")  # in final.vtu
 
 
 def validate_law(material: Law, count: int, forest: bisection.TriangleForest | None) -> Law:
@@ -100,10 +100,16 @@ def validate_cooling(given: Cooling | None, fields: Collection[str], surfaces: S
     return _replace_values(given, {name: as_real(getattr(given, name)) for name in names})
 
 
-def check_temperature(material: Law, parison: Parison, cooling: Cooling | None) -> None:
+def check_temperature(material: Law, parison: Parison, cooling: Cooling | None, tools: Sequence[Mold]) -> None:
     """Raises InputError where a shift and the temperature do not go together; warns where that changes nothing."""
     shift, temperature = material.shift, parison.temperature
+    rubs = any(tool.contact.needs_temperature for tool in tools)
+    if rubs and temperature is None:
+        remedy = "give the sheet's temperature, which a friction over the temperature needs, or make that one number"
+        raise InputError("is missing", remedy, "parison.temperature")
     if shift is None and cooling is None:
+        if rubs:
+            return
         if temperature is not None:
             remedy = "give [material.shift], or leave the temperature out"
             warn_of(

@@ -145,7 +145,7 @@ def build_scene(
         forest, parison = build_hierarchy(parison, refinement)
     material = component_validation.validate_law(material, count, forest)
     cooling = component_validation.validate_cooling(cooling, fields or {}, surfaces)
-    component_validation.check_temperature(material, parison, cooling)
+    component_validation.check_temperature(material, parison, cooling, surfaces)
     carried = {
         str(key): component_validation.validate_field(str(key), one, count, forest)
         for key, one in (fields or {}).items()

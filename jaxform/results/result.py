@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.contact.sliding import ToolEnergies
 from jaxform.core.pytree import abbreviate, as_real, marked_field_names, pytree, row_count
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import FieldRule, Nodes
@@ -56,6 +57,7 @@ class Energy:
         peak_work: Largest magnitude of the work, external and of the tool, at the end of a window; carries no
             derivative.
         rounding: Error of the balance by rounding alone; carries no derivative.
+        by_tool: Work of each tool that moves and friction loss of each with friction, where there are several such.
     """
 
     strain: jax.Array
@@ -73,6 +75,7 @@ class Energy:
     kinetic_peak: jax.Array
     peak_work: jax.Array
     rounding: jax.Array
+    by_tool: ToolEnergies = ToolEnergies()
 
     @property
     @jax.jit
@@ -153,6 +156,8 @@ class Result:
             node touches; None where there are none.
         tool: Number of the tool that a node touches (n_node,), in the order of `Scene.surfaces`: the mold, where there
             is one, then the other tools; -1 without contact.
+        slip: Length of the way that a node has slid along tools (n_node,) [m], over all times; None where nodes stick
+            to all tools.
         fields: The scene's own nodal fields, by name (n_node,); 0 where the node does not exist.
         triangles: Node numbers of the elements (n_element, 3).
         level: Number of bisections of each from the scene's mesh (n_element,).
@@ -218,6 +223,7 @@ class Result:
     temperature: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
     tool_wall: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
     held_sides: jax.Array | None = None
+    slip: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
 
     def __repr__(self) -> str:
         """The size of the mesh, the time and steps simulated and the status, in one line."""
@@ -287,6 +293,7 @@ def make_result(
         tool_wall=_wall_of_tools(nodes, scene),
         held_sides=None if state.held is None else state.held.count,
         tool=_touched_tool(nodes),
+        slip=nodes.slip,
         fields=nodes.fields,
         triangles=triangles.T,
         level=level,
@@ -311,6 +318,7 @@ def make_result(
             kinetic_peak=state.account.kinetic_peak,
             peak_work=jax.lax.stop_gradient(state.account.peak_work),
             rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),
+            by_tool=state.account.total_by_tool,
         ),
         time=state.time,
         steps=state.steps,

@@ -191,7 +191,7 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
     """Entries of the summary that need no measurement against the mold."""
     area = formed_areas(result)
     seconds = result.seconds or Seconds(0.0, 0.0)
-    kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
+    kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding", "by_tool")]
     energy = {name: float(getattr(result.energy, name)) for name in kinds}
     part, doubts = restrict_to_part(result, scene)
     slow = float(result.energy.quasi_static_error)
@@ -326,9 +326,15 @@ def _warnings_of_depth(result: Result, scene: Scene, beyond: Penetration, name: 
         return _warnings_of_cut_edges(beyond, corners, walls, name)
     return [
         f"the sheet penetrates {name}, by up to {beyond.elements:.3g} m at {format_place(beyond.place)}: it hangs "
-        "over its rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the "
-        "elements smaller"
+        f"over its rim, or its elements are too large for an edge; {_remedy_of_depth(name)}"
     ]
+
+
+def _remedy_of_depth(name: str) -> str:
+    """The remedy where a sheet penetrates the tool of this name: a mold is as wide as it, another tool need not be."""
+    if name == "the mold":
+        return "make the mold as wide as the sheet, or the elements smaller"
+    return f"make parison.element_size smaller, add [refinement], or round the edge of {name}"
 
 
 def _warnings_of_ribs(beyond: Penetration, name: str) -> list[str]:

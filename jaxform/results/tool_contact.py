@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.pytree import as_real
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
-from jaxform.tools.contact_law import Slide
 from jaxform.tools.mold import Mold
 from jaxform.tools.penetration import Penetration, penetration
 
@@ -83,22 +84,22 @@ def tool_label(tool: Mold) -> str:
 
 
 def summarize_tools(result: Result, scene: Scene) -> list[dict[str, Any]]:
-    """Figures of the mold and each tool, in the order of `Scene.surfaces`; their penetration is null here.
-
-    Work and friction are known of a tool where no other one moves, or rubs; else they are null.
-    """
+    """Figures of the mold and each tool, in the order of `Scene.surfaces`; their penetration is null here."""
     tools = [surface.mold for surface in scene.surfaces]
     shares, touched = contact_shares(result, len(tools)), touched_tools(result)
-    moving = [tool.motion is not None for tool in tools]
-    rubbing = [not (tool.contact.sticks or isinstance(tool.contact, Slide)) for tool in tools]
+    energy = result.energy
+    works = _energies_by_tool(energy.tool_work, energy.by_tool.work, [tool.motion is not None for tool in tools])
+    frictions = _energies_by_tool(
+        energy.friction_loss, energy.by_tool.friction, [tool.contact.has_friction for tool in tools]
+    )
     return [
         {
             "name": tool_label(tool),
             "contact_fraction": float(shares[number]),
             **_contact_over_time(result, number, float(shares[number])),
             "thickness": wall_statistics(result, touched == number) if (touched == number).any() else None,
-            "work": _share_of(float(result.energy.tool_work), moving, number),
-            "friction_loss": _share_of(float(result.energy.friction_loss), rubbing, number),
+            "work": works[number],
+            "friction_loss": frictions[number],
             "penetration_max": None,
             "penetration_place": None,
         }
@@ -121,11 +122,10 @@ def _contact_over_time(result: Result, number: int, share: float) -> dict[str, A
     }
 
 
-def _share_of(energy: float, sources: list[bool], number: int) -> float | None:
-    """An energy [J] of a tool, where the total is of one tool at most; None where it may be of several."""
-    if not sources[number]:
-        return 0.0
-    return energy if sum(sources) == 1 else None
+def _energies_by_tool(whole: jax.Array, split: Sequence[jax.Array], sources: list[bool]) -> list[float]:
+    """An energy [J] of each tool: 0 of those that are no source; the parts of the sources, or of a single one all."""
+    parts = iter(split or [whole])
+    return [float(next(parts)) if source else 0.0 for source in sources]
 
 
 def measure_tool_penetration(result: Result, scene: Scene, number: int) -> Penetration:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxform.kernels.blocks import over_blocks
 from jaxform.materials import Law
 from jaxform.mechanics import membrane
-from jaxform.mechanics.elements import masked_metrics
+from jaxform.mechanics.elements import Elements, masked_metrics
 from jaxform.model.scene import Scene
 from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.energy_balance import stored_energy
@@ -78,10 +78,13 @@ def cool_state(
     blocks, sums = elements.block_count, int(scene.stiffens)
     found, (*lost, pace) = over_blocks(work, blocks, inputs, into, sums=sums, most=1, whole=differentiable)
     made = [values.reshape(old.shape) for values, old in zip(found, held, strict=True)]
-    heat, numbers, memory = jax.tree.unflatten(kinds, made)
+    before, (heat, numbers, memory) = heat, jax.tree.unflatten(kinds, made)
     account = state.account
     if account.cooling_loss is not None:
         account = dataclasses.replace(account, cooling_loss=account.cooling_loss + sum(lost))
+    if nodes.temperature is not None:
+        change = _nodal_mean(heat.felt - before.felt, elements)
+        state = state.replace_nodes(temperature=nodes.temperature + change)
     state = dataclasses.replace(
         state,
         heat=heat,
@@ -92,6 +95,14 @@ def cool_state(
     if numbers is None:
         return state, active
     return state, dataclasses.replace(active, zones=numbers[0], modes=numbers[1])
+
+
+def _nodal_mean(values: jax.Array, elements: Elements) -> jax.Array:
+    """Mean (place,) at the nodes of values (room,) of their elements, by area; 0 where they have none."""
+    area = elements.area
+    rows = area, jnp.where(area > 0.0, area * values, 0.0)
+    total, found = (membrane.sum_to_nodes(row, elements.triangles, elements.slots.shape[1]) for row in rows)
+    return found / jnp.where(total > 0.0, total, 1.0)
 
 
 def _rows(numbers: Any) -> list[list[jax.Array]]:

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.sliding import ContactLosses, LyingNodes, lying_nodes, slide_nodes
+from jaxform.contact.sliding import ContactLosses, LyingNodes, ToolEnergies, lying_nodes, slide_nodes, split_by_tool
 from jaxform.kernels.blocks import materialize
 from jaxform.loads import Loading
 from jaxform.mechanics import membrane
@@ -152,12 +152,13 @@ def synchronize_velocity(
     velocities, losses = update_velocity(
         nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping
     )
-    work = state.account.tool_work
+    work, by_tool = state.account.tool_work, state.account.by_tool
     if work is not None:
         before = packed.nodes.velocities
         velocities, held, done = apply_tool_velocity(
             nodal, (before, velocities), nodes, packed.nodes.wall, 0.5 * state.control.step_length, before
         )
+        by_tool = add_by_tool(by_tool, scene, packed.nodes.tool, done)
         work, losses = work + jnp.sum(done), None if losses is None else jnp.where(held, 0.0, losses)
     account, lost = state.account, 0.0 if losses is None else jnp.sum(losses)
     friction, impact = account.friction_loss, account.contact_loss
@@ -166,6 +167,7 @@ def synchronize_velocity(
         lost = 0.0 if losses is None else jnp.sum(jnp.where(lies, slid.damping, losses))
         friction, impact = friction + jnp.sum(slid.friction), impact + jnp.sum(slid.impact)
         work = None if work is None else work + jnp.sum(slid.work)
+        by_tool = add_by_tool(by_tool, scene, packed.nodes.tool, slid.work, slid.friction)
     return dataclasses.replace(
         state,
         nodes=dataclasses.replace(state.nodes, velocities=active.packed.unpack(jnp.stack(velocities))),
@@ -179,9 +181,23 @@ def synchronize_velocity(
             friction_loss=friction,
             contact_loss=impact,
             tool_work=work,
+            by_tool=by_tool,
             rim=None if account.rim is None else jnp.zeros_like(account.rim),
         ),
     )
+
+
+def add_by_tool(
+    before: ToolEnergies,
+    scene: Scene,
+    tool: jax.Array | None,
+    work: jax.Array,
+    friction: jax.Array | float = 0.0,
+) -> ToolEnergies:
+    """The energies of tools with those of nodes (n,) [J] added, which touch the tools of these numbers (n,)."""
+    parts = split_by_tool(work, tool, scene.moving_tools), split_by_tool(friction, tool, scene.rubbing_tools)
+    pairs = zip(before, parts, strict=True)
+    return ToolEnergies(*(tuple(old + jnp.sum(new) for old, new in zip(*pair, strict=True)) for pair in pairs))
 
 
 def _synchronize_slip(

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.edge_contact import HeldSides
-from jaxform.contact.sliding import on_surface
+from jaxform.contact.sliding import ToolEnergies, on_surface
 from jaxform.core.pytree import as_real, marked_field_names, pytree
 from jaxform.loads import LoadState
 from jaxform.mechanics import membrane
@@ -109,6 +109,8 @@ class EnergyBalance:
         rim: Volume that moving rims swept since the last step's begin [m^3]; None where there are none.
         gravity_work: Done by gravity on the nodes; None where none acts.
         pre_stretch_work: Strain energy of the pre-stretched sheet when the run begins; None where it has no stress.
+        by_tool: The parts of `tool_work` and `friction_loss` of each tool, where these are counted for each.
+        last_by_tool: The same of `tool_last`.
     """
 
     volume: jax.Array
@@ -129,6 +131,8 @@ class EnergyBalance:
     gravity_work: jax.Array | None = None
     pre_stretch_work: jax.Array | None = None
     friction_loss: jax.Array | None = dataclasses.field(default=None, metadata=LOSS)
+    by_tool: ToolEnergies = ToolEnergies()
+    last_by_tool: tuple[jax.Array, ...] = ()
 
     def swept_volume(self, volume: jax.Array) -> jax.Array:
         """Volume swept by the sheet since the begin of the last step [m^3], with the present enclosed volume [m^3]."""
@@ -139,6 +143,12 @@ class EnergyBalance:
     def total_tool_work(self) -> jax.Array | None:
         """All the work of the tool [J]; None where it rests."""
         return None if self.tool_work is None or self.tool_last is None else self.tool_work + self.tool_last
+
+    @property
+    def total_by_tool(self) -> ToolEnergies:
+        """All the energies of each tool, where they are counted for each [J]."""
+        works = zip(self.by_tool.work, self.last_by_tool, strict=True)
+        return self.by_tool._replace(work=tuple(done + last for done, last in works))
 
     @property
     def work(self) -> jax.Array:
@@ -317,7 +327,10 @@ def differentiable_leaves(state: State) -> State:
         terms |= {"tool_work": True, "tool_last": True}
     optional = ("rim", "gravity_work", "pre_stretch_work")
     terms |= {name: True for name in optional if getattr(state.account, name) is not None}
-    account = dataclasses.replace(none.account, **terms, load_state=pressed)
+    by_tool: Any = jax.tree.map(lambda _: True, (state.account.by_tool, state.account.last_by_tool))
+    account = dataclasses.replace(
+        none.account, **terms, load_state=pressed, by_tool=by_tool[0], last_by_tool=by_tool[1]
+    )
     memory = None if state.memory is None else True
     heat = None if none.heat is None else dataclasses.replace(none.heat, change=True, felt=True)
     held = None if none.held is None else dataclasses.replace(none.held, share=True, point=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -60,6 +61,13 @@ class ContactSurface(NamedTuple):
     grid: SearchGrid
     neighbors: jax.Array | None = None
 
+    def at(self, temperature: jax.Array | None) -> ContactSurface:
+        """The surface with the contact law of nodes at temperatures (n,) [degC]."""
+        law = self.mold.contact
+        if not law.needs_temperature:
+            return self
+        return self._replace(mold=dataclasses.replace(self.mold, contact=law.at(temperature)))
+
     @property
     def part(self) -> jax.Array | None:
         """The connected part (n_triangle,) of each triangle; None where there is one, or no node slides."""
@@ -80,6 +88,8 @@ class Glide(NamedTuple):
         off: Whether they have left the surface; they wait where they did.
         outward: A direction off the surface there, three times (n,).
         lost: Kinetic energy over mass that they lost in valleys [J/kg].
+        rubbed: The same by friction on the faces that they ran into there [J/kg].
+        distance: How far they went [m].
     """
 
     position: Vector
@@ -90,12 +100,14 @@ class Glide(NamedTuple):
     off: jax.Array
     outward: Vector
     lost: jax.Array
+    rubbed: jax.Array
+    distance: jax.Array
 
     @classmethod
     def start(cls, position: Vector, velocity: Vector, triangle: jax.Array, side: jax.Array, left: jax.Array) -> Glide:
         """Nodes that begin on these triangles."""
         none = jnp.zeros_like(left)
-        return cls(position, velocity, triangle, side, left, none > 0.0, (none, none, none), none)
+        return cls(position, velocity, triangle, side, left, none > 0.0, (none, none, none), none, none, none)
 
 
 Facets = tuple[tuple[Vector, Vector, Vector], Vector, Vector]
@@ -133,8 +145,8 @@ def move_along(
     """Moves nodes (n,) along a surface for the rest of a step, from triangle to triangle.
 
     Over a ridge a node goes round with its speed where it is pressed onto the next face; else, as at a rim, it leaves
-    the surface, and flies straight on from the next step on. In a valley it loses the speed into the next face; where
-    it would not get up that for longer than a step, it goes along the valley.
+    the surface, and flies straight on from the next step on. In a valley it loses the speed into the next face, which
+    rubs it by that push; where it would not get up that for longer than a step, it goes along the valley.
 
     Args:
         surface: The surface, with its neighbors.
@@ -204,7 +216,16 @@ def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vec
     new = vector(jnp.where(ridge, r, jnp.where(stays, w, u)) for r, w, u in zip(round_it, within, up_it, strict=True))
     target = vector(jnp.where(stays, a, b) for a, b in zip(here_normal, there_normal, strict=True))
     new = project_on_plane(new, target, mobile)
-    lost = jnp.where(crosses & ~ridge, 0.5 * (dot(velocity, velocity) - dot(new, new)), 0.0)
+    # Both faces push what stays in the valley, the first one less than before.
+    cosine = jax.lax.stop_gradient(jnp.clip(dot(here_normal, there_normal), -1.0, 1.0))
+    half_turn = jnp.sqrt((1.0 - cosine) / jnp.maximum(1.0 + cosine, LEAST))
+    taken = minus(velocity, new)
+    push = jnp.sqrt(jnp.maximum(dot(taken, taken), jnp.finfo(along.dtype).tiny)) * jnp.where(stays, half_turn, 1.0)
+    free = new
+    new = _select_where(ridge, new, mold.contact.limit_slip(new, push))
+    crosses_valley = crosses & ~ridge
+    lost = jnp.where(crosses_valley, 0.5 * (dot(velocity, velocity) - dot(free, free)), 0.0)
+    rubbed = jnp.where(crosses_valley, 0.5 * (dot(free, free) - dot(new, new)), 0.0)
     alone = number == 0
     away = vector(a + jnp.where(alone, 0.0, b) for a, b in zip(here_normal, there_normal, strict=True))
     moves_over = crosses & ~stays
@@ -217,7 +238,20 @@ def _advance(surface: ContactSurface, glide: Glide, pressed: Vector, mobile: Vec
         off=glide.off | flies,
         outward=vector(jnp.where(flies, a, b) for a, b in zip(away, glide.outward, strict=True)),
         lost=glide.lost + lost,
+        rubbed=glide.rubbed + rubbed,
+        distance=glide.distance + share * _length(way),
     )
+
+
+def _select_where(chosen: jax.Array, new: Vector, old: Vector) -> Vector:
+    """The new vectors (n,) where they are chosen, else the old ones."""
+    return vector(jnp.where(chosen, one, other) for one, other in zip(new, old, strict=True))
+
+
+def _length(way: Vector) -> jax.Array:
+    """The length (n,) of vectors; its derivative is 0 where they have none."""
+    square = dot(way, way)
+    return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
 
 
 def _first_side(position: Vector, way: Vector, here: Facets) -> tuple[jax.Array, jax.Array]:

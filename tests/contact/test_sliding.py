@@ -166,7 +166,7 @@ def test_a_step_within_a_triangle_is_that_of_the_walk_over_triangles() -> None:
     )  # fmt: skip
     steps, frames = (kick, length), (None, frame)
     known = find_facets(wall, nodes.tool, mobile, surfaces)
-    (place, speed), stays, fast = slide_within_facets(nodes, known, steps, surfaces, frames, damping)
+    (place, speed), stays, fast, _ = slide_within_facets(nodes, known, steps, surfaces, frames, damping)
     walk = slide_nodes(nodes, steps, surfaces, frames, damping, differentiable=False)
     stays = np.asarray(stays)
     expected = np.asarray(lies & ~walk.left & (walk.wall == wall))
@@ -306,6 +306,91 @@ def test_capstan(friction: float, degrees: float) -> None:
     assert 0.0 < float(result.energy.friction_loss) < float(result.energy.tool_work)
 
 
+def test_slip_distance_over_a_cylinder_is_the_arc_that_a_node_has_gone() -> None:
+    turn, parts = np.radians(90), 46
+    each = turn / parts
+    scene = _strip_over_cylinder(0.3, turn, parts)
+    result = jaxform.run(scene)
+
+    def arc(places: np.ndarray) -> np.ndarray:
+        """The length of the polygon from its top to places (n, 3) on it."""
+        angle = np.arctan2(places[:, 0], places[:, 2])
+        facet = np.round(angle / each)
+        tangent = np.stack([np.cos(facet * each), -np.sin(facet * each)], 1)
+        return facet * 2 * np.tan(each / 2) + np.sum(places[:, [0, 2]] * tangent, 1)
+
+    places, slip = np.asarray(result.reference), np.asarray(result.slip)
+    # Pulled one way all the time, from where they lay on it.
+    on = (np.asarray(result.tool) == 0) & (places[:, 0] > -1e-9)
+    went = (arc(np.asarray(result.positions)) - arc(places))[on]
+    assert on.sum() > 30 and went.min() > 0.05 and went.max() > 0.4
+    np.testing.assert_allclose(slip[on], went, atol=1e-9)
+    np.testing.assert_array_equal(slip[(np.asarray(result.tool) == 1) | np.asarray(result.stuck)], 0.0)
+
+
+def _hollow(parts: int) -> ContactSurface:
+    """The inside of half a cylinder of radius 1, as a polygon."""
+    angle = np.pi * np.arange(parts + 1) / parts
+    ring = np.stack([-np.cos(angle), 0 * angle, -np.sin(angle)], 1)
+    vertices, low = np.concatenate([ring - [0, 9, 0], ring + np.array([0, 9, 0])]), np.arange(parts)
+    top = low + parts + 1
+    triangles = np.concatenate([np.stack([low, low + 1, top + 1], 1), np.stack([low, top + 1, top], 1)])
+    return _surface(vertices, triangles, jaxform.make_contact_law("coulomb", 0.3))
+
+
+def test_a_node_that_slides_through_a_hollow_is_braked_as_by_a_capstan() -> None:
+    """Its speed falls as e^(-mu theta), since it is pressed by its own turn; all that it loses is friction."""
+    friction, ratios = 0.3, []
+    for parts in (30, 120):
+        surface = _hollow(parts)
+        first = np.asarray(surface.mold.vertices)[np.asarray(surface.mold.triangles)[0]]
+        way = first[1] - first[0]
+        start = first.mean(0)
+        normal = np.cross(first[1] - first[0], first[2] - first[0])
+        side = jnp.array([1 if normal @ -(start * [1, 0, 1]) > 0 else -1])
+        step = 0.1 * np.pi / parts
+        glide = Glide.start(
+            _vectors(start[None]), _vectors(way[None] / np.linalg.norm(way)), jnp.array([0]), side, jnp.zeros(1)
+        )
+        inside = vector(0.0 * x for x in glide.position)
+        advance = jax.jit(lambda glide: move_along(surface, glide, inside, _ONES, differentiable=False))  # noqa: B023
+        for _ in range(8 * parts):
+            glide = advance(glide._replace(left=jnp.full(1, step)))
+        assert not bool(glide.off[0]) and np.hypot(*np.ravel(glide.position)[[0, 2]]) <= 1.0 + 1e-12
+        speed = float(jnp.sqrt(dot(glide.velocity, glide.velocity))[0])
+        turned = np.arccos(np.clip(np.ravel(glide.velocity)[[0, 2]] @ way[[0, 2]] / np.linalg.norm(way) / speed, -1, 1))
+        corners = round(turned * parts / np.pi)
+        assert corners > parts / 4
+        corner = np.pi / parts
+        assert speed == pytest.approx((np.cos(corner) - friction * np.sin(corner)) ** corners, rel=1e-9)
+        ratios.append(speed / np.exp(-friction * turned))
+        distance = np.log1p(friction * 8 * parts * float(step)) / friction
+        assert float(glide.distance[0]) == pytest.approx(distance, rel=1.6 / parts)
+        # What is lost is friction, but for what the corners take.
+        energy = 0.5 * (1.0 - speed**2)
+        assert float(glide.lost[0] + glide.rubbed[0]) == pytest.approx(energy, rel=1e-12)
+        assert float(glide.lost[0]) < 2.0 * np.pi / parts * energy
+    assert abs(ratios[1] - 1.0) < min(0.03, 0.3 * abs(ratios[0] - 1.0))
+
+
+def test_a_node_at_rest_in_a_valley_loses_nothing_by_friction() -> None:
+    floor, wall = [[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]], [[1, 0, 1], [1, 2, 1]]
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
+    surface = _surface(np.array(floor + wall, float), triangles, jaxform.make_contact_law("coulomb", 0.2))
+    step, damping = jnp.asarray(1e-3), None
+    nodal = _vectors([[5.0, 0.0, -3.0]])  # into the wall and onto the floor
+    nodes = LyingNodes(
+        _vectors([[1.0, 1.0, 0.0]]), _vectors([[0.0, 0.0, 0.0]]), vector(step * f for f in nodal), nodal, jnp.ones(1),
+        _ONES, jnp.array([1]), None, jnp.ones(1, bool),
+    )  # fmt: skip
+    slid = slide_nodes(nodes, (step, step), (surface,), (None,), damping, differentiable=False)
+    np.testing.assert_array_equal(np.ravel(slid.positions), [1.0, 1.0, 0.0])
+    assert float(slid.distance[0]) == 0.0
+    losses = np.array([float(each[0]) for each in (slid.losses.friction, slid.losses.impact)])
+    kick = float(step * 5.0)
+    np.testing.assert_allclose(losses, 0.0, atol=1e-12 * 0.5 * kick**2)
+
+
 def _plug(law: jaxform.ContactLaw | None, depth: float, radius: float = 0.3, **warmth: Any) -> jaxform.Mold:
     reach = radius / np.cos(np.pi / 96) * (1 + 1e-9)  # round the circle
     made = molds.revolved(profile=[[0.0, 0.0], [reach, 0.0], [reach, -1.5]], segments=96)
@@ -423,3 +508,93 @@ def test_a_refined_sheet_slides_on_a_plug() -> None:
     assert np.sum(result.used) > 100 and int(result.shortened) < 5
     place = np.asarray(result.positions)[np.asarray(result.tool) == 0]
     assert place[:, 2].max() == pytest.approx(0.6, abs=1e-9)
+
+
+def _table(at: tuple[float, ...] = (80.0, 120.0), value: tuple[float, ...] = (0.1, 0.5)) -> jaxform.Coulomb:
+    law = jaxform.make_contact_law("coulomb", value, temperature=at)
+    assert isinstance(law, jaxform.Coulomb)
+    return law
+
+
+def test_friction_over_temperature_is_linear_between_knots_and_held_beyond() -> None:
+    warm, knots, values = jnp.array([20.0, 80.0, 90.0, 100.0, 120.0, 300.0]), (80.0, 100.0, 120.0), (0.4, 0.1, 0.5)
+    law = _table(knots, values)
+    np.testing.assert_allclose(law.at(warm).friction, np.interp(warm, knots, values), rtol=1e-15)
+    # In a step within a triangle, and in the walk: what slides on a plate is braked by its own coefficient.
+    surface, count = _surface(*_square(), law), warm.size
+    push, step = 0.5, jnp.asarray(1e-3)
+    free = jnp.full(count, 1.0), jnp.zeros(count), jnp.full(count, -push)
+    nodes = LyingNodes(
+        _vectors([[0.1, 0.2, 0.0]] * count), vector(jnp.zeros(count) for _ in range(3)), free,
+        vector(x / step for x in free), jnp.ones(count), vector(jnp.ones(count) for _ in range(3)),
+        jnp.full(count, 2, jnp.int32), None, jnp.ones(count, bool), warm,
+    )  # fmt: skip
+    expected = 1.0 - push * np.interp(warm, knots, values)
+    walk = slide_nodes(nodes, (step, step), (surface,), (None,), None, differentiable=False)
+    np.testing.assert_allclose(walk.velocities[0], expected, rtol=1e-14)
+    known = find_facets(nodes.wall, None, nodes.mobile, (surface,))
+    (_, speed), stays, _, _ = slide_within_facets(nodes, known, (step, step), (surface,), (None,), None)
+    np.testing.assert_allclose(speed[0], expected, rtol=1e-14)
+    assert bool(jnp.all(stays))
+    # Derivatives by coefficients and temperatures, the latter but at the knots.
+    slope = jax.jacfwd(lambda warm: law.at(warm).friction)(warm[jnp.array([0, 2, 3, 5])] + 3.0)
+    np.testing.assert_allclose(np.diag(slope), [0.0, -0.015, 0.02, 0.0], atol=1e-15)
+
+
+def test_a_strip_is_as_slippery_as_it_is_warm() -> None:
+    """At temperatures between the knots; and cooled by the cylinder, of which every node keeps its own."""
+    friction, turn = 0.3, np.radians(90)
+    scene = _strip_over_cylinder(friction, turn, 46)
+    one = jaxform.run(scene)
+
+    def warm(temperature: Any, law: jaxform.Coulomb, cooling: jaxform.Cooling | None = None) -> jaxform.Result:
+        parts = {name: getattr(scene, name) for name in ("material", "pressure", "solver")}
+        parison = dataclasses.replace(scene.parison, temperature=jnp.full(len(scene.parison.positions), temperature))
+        cylinder = dataclasses.replace(scene.tools[0], contact=law)
+        return jaxform.run(
+            jaxform.build_scene(**parts, parison=parison, tools=[cylinder, scene.tools[1]], cooling=cooling, fill=False)
+        )
+
+    other = warm(100.0, _table())
+    np.testing.assert_allclose(other.positions, one.positions, atol=1e-12)
+    # It cools to 100 degrees at once, as soon as it moves.
+    cooled = warm(140.0, _table(), jaxform.Cooling(as_real(1.0), air=as_real(1e3), air_temperature=as_real(100.0)))
+    np.testing.assert_allclose(cooled.positions, one.positions, atol=2e-3)
+    assert np.abs(np.asarray(cooled.positions) - np.asarray(one.positions)).max() < 0.02 * np.abs(
+        np.asarray(warm(120.0, _table()).positions) - np.asarray(one.positions)
+    ).max()  # fmt: skip
+
+
+def test_gradient_by_friction_over_temperature_is_that_of_differences() -> None:
+    cooling = jaxform.Cooling(as_real(100.0), mold=as_real(7.0))
+    plug = _plug(_table((60.0, 140.0), (0.1, 0.4)), 0.6, temperature=40.0, heat_transfer=0.05)
+    scene = _pushed(plug, elements=100, cooling=cooling)
+    traced = jaxform.simulate(scene)
+
+    def objective(design: jax.Array) -> jax.Array:
+        changes = {
+            "tools.plug.contact.friction": design[:2],
+            "parison.temperature": 140.0 + design[2] + jnp.zeros(len(scene.parison.positions)),
+        }
+        result = jaxform.simulate(jaxform.replace(scene, changes), schedule=traced.schedule)
+        slid: Any = result.slip
+        return 100.0 * (result.thickness[0] + jnp.sum(result.thickness**2)) + jnp.sum(slid)
+
+    first, steps = jnp.array([0.1, 0.4, 0.0]), (1e-6, 1e-6, 1e-3)
+    value = jax.jit(objective)
+    found = jax.jit(jax.grad(objective))(first)
+    ends = [[float(value(first.at[k].add(sign * step))) for sign in (1, -1)] for k, step in enumerate(steps)]
+    differences = [(up - down) / (2 * step) for (up, down), step in zip(ends, steps, strict=True)]
+    assert np.abs(differences).min() > 0.0
+    np.testing.assert_allclose(found, differences, rtol=1e-5)
+
+
+def test_friction_over_temperature_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(jaxform.InputError, match="does not fit its temperatures"):
+        jaxform.make_contact_law("coulomb", [0.1, 0.2])
+    with pytest.raises(jaxform.InputError, match="does not fit its temperatures"):
+        jaxform.make_contact_law("coulomb", [0.1, 0.2], temperature=[1.0, 2.0, 3.0])
+    with pytest.raises(jaxform.InputError, match="knots do not increase"):
+        _table((120.0, 80.0))
+    with pytest.raises(jaxform.InputError, match=r"parison\.temperature: is missing"):
+        _pushed(_plug(_table(), 0.6), elements=24)

@@ -53,6 +53,30 @@ def _plug(**changes: Any) -> dict[str, Any]:
     return {key: value for key, value in (PLUG | changes).items() if value is not None}
 
 
+def _over(**changes: Any) -> dict[str, Any]:
+    """A friction over the temperature."""
+    return {"along": "temperature", "at": [90.0, 130.0], "value": [0.15, 0.5]} | changes
+
+
+def test_a_friction_over_the_temperature_is_read_named_and_written_again(tmp_path: Path) -> None:
+    document = _document([_plug(friction=_over())])
+    document.data["parison"]["temperature"] = 120.0
+    document = files.validate_scene(document.data, "s.toml", Path("."))
+    scene = files.build_unchecked(document)
+    law = scene.tools[0].contact
+    assert isinstance(law, jaxform.Coulomb)
+    np.testing.assert_array_equal(law.temperature, [90.0, 130.0])
+    np.testing.assert_array_equal(law.friction, [0.15, 0.5])
+    lines = list(check_command.scene_lines(document, scene, Store()))
+    words = "nodes on it slide with friction (coulomb, friction 0.15 to 0.5 over the sheet's temperature)"
+    assert any(line.endswith(words) for line in lines)
+    written = scene_rewriting.write_scene(document, {"tool.plug.friction": np.array([0.2, 0.4])}, tmp_path)
+    again = jaxform.load(written).tools[0].contact
+    assert isinstance(again, jaxform.Coulomb)
+    np.testing.assert_array_equal(again.friction, [0.2, 0.4])
+    np.testing.assert_array_equal(again.temperature, [90.0, 130.0])
+
+
 def test_a_file_with_tools_makes_a_scene_with_them() -> None:
     plate = {
         "shape": "plate",
@@ -89,6 +113,11 @@ def test_a_file_with_tools_makes_a_scene_with_them() -> None:
         ([_plug(friction=None)], "tool.plug.friction: is missing, and contact is coulomb; give the coefficient"),
         ([_plug(contact=None)], "tool.plug.friction = 0.2: has no effect with contact = stick"),
         ([_plug(contact="slide")], "tool.plug.friction = 0.2: has no effect with contact = slide"),
+        ([_plug(friction=_over(value=[0.1]))], "tool.plug.friction.value = \\[0.1\\]: has 1 values for 2 knots"),
+        ([_plug(friction=_over(value=[0.1, -0.1]))], "tool.plug.friction.value\\[1\\] = -0.1: is too small"),
+        ([_plug(friction=_over(at=[130.0, 90.0]))], "tool.plug.friction.at = \\[130.0, 90.0\\]: does not increase"),
+        ([_plug(friction=_over(along="radius"))], "tool.plug.friction.along = 'radius': is unknown; use 'temperature'"),
+        ([_plug(friction=_over(), contact="slide")], "has no effect with contact = slide"),
         ([_plug(contact="glue")], "tool.plug.contact = 'glue': is unknown; use 'stick', 'coulomb' or 'slide'"),
         ([_plug(direction=None)], "tool.plug.direction: is missing, but time is given"),
         ([_plug(displacement=None)], "tool.plug.displacement: is missing, but direction is given"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -97,7 +96,48 @@ def test_elements_cut_a_round_plug_as_deep_as_chords_of_its_ball(radius: float) 
     assert early == found | {"penetration_max": None, "penetration_place": None}
 
 
-def test_energies_of_tools_that_several_may_have_are_not_told() -> None:
+def _two_discs(chosen: tuple[int, ...], laws: tuple[Any, Any]) -> jaxform.Scene:
+    """One of two discs that are apart, each with a plug of its own below it; or both."""
+    sheet, count = shapes.disc(radius=1.0, elements=60, symmetry="quarter"), len(chosen)
+    flat = molds.revolved(profile=[[0.0, 0.0], [0.3, 0.0], [0.3, -1.5]], segments=96)
+    plugs = [_tool(flat, f"plug{k}", laws[k], way=(0.3, 0.5)[k], low=-3.0 * k) for k in chosen]
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(
+            np.concatenate([sheet.positions + np.array([0.0, 0.0, 3.0 * k]) for k in chosen]),
+            np.concatenate([sheet.triangles + len(sheet.positions) * place for place in range(count)]),
+            _SHEET,
+            np.tile(sheet.clamped, count),
+            np.tile(sheet.fixed, (count, 1)),
+        ),
+        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
+        solver=jaxform.make_solver(end_time=_END, damping=2.0),
+        tools=plugs,
+        fill=False,
+    )
+
+
+@pytest.mark.parametrize("frictions", [(0.2, 0.4), (None, 0.4)])
+def test_each_of_two_tools_that_move_and_rub_has_the_energies_that_it_has_alone(frictions: tuple) -> None:
+    laws: Any = tuple(None if each is None else jaxform.Coulomb(as_real(each)) for each in frictions)
+    alone, both = [], _two_discs((0, 1), laws)
+    for number in (0, 1):
+        scene = _two_discs((number,), laws)
+        alone += summarize(jaxform.run(scene), scene)["tools"]
+    result = jaxform.run(both)
+    together = summarize(result, both)["tools"]
+    for key in ("work", "friction_loss"):
+        np.testing.assert_allclose([tool[key] for tool in together], [tool[key] for tool in alone], rtol=1e-3)
+    np.testing.assert_allclose(sum(tool["work"] for tool in together), result.energy.tool_work, rtol=1e-12)
+    np.testing.assert_allclose(sum(tool["friction_loss"] for tool in together), result.energy.friction_loss, rtol=1e-12)
+    assert together[1]["work"] > 2 * together[0]["work"] > 0.0 and together[1]["friction_loss"] > 0.0
+    # `simulate`, which runs another form of the step, adds them up alike.
+    traced = jaxform.simulate(both)
+    np.testing.assert_allclose(traced.energy.by_tool.work, result.energy.by_tool.work, rtol=1e-9)
+    np.testing.assert_allclose(traced.energy.by_tool.friction, result.energy.by_tool.friction, rtol=1e-9)
+
+
+def test_contact_of_tools_that_come_and_go() -> None:
     shape = molds.plate(radius=0.5)
     laws = [jaxform.Coulomb(as_real(0.3)), jaxform.Slide(), None]
     tools = [_tool(shape, f"t{k}", law, way=0.1 * (k > 0), low=3.0 + k) for k, law in enumerate(laws)]
@@ -111,12 +151,12 @@ def test_energies_of_tools_that_several_may_have_are_not_told() -> None:
         element_volume=np.array([1.0, 3.0]),
         element_thickness=np.array([0.5, 0.5]),
         time=9.0,
-        energy=SimpleNamespace(tool_work=7.0, friction_loss=5.0),
+        energy=SimpleNamespace(tool_work=7.0, friction_loss=5.0, by_tool=SimpleNamespace(work=(3.0, 4.0), friction=())),
         contacts=np.array([[0.0, 0.5, 6.0, 8.0], [0.0, 0.75, 0.2, 0.2], [0.0] * 4, [0.0, 0.0, 0.1, 0.0]]),
         contact_periods=np.array([[0.5, 8.0], [np.nan, np.nan], [5.5, 6.5]]),
     )
     first, second, third = summarize_tools(made, scene)
-    assert [tool["work"] for tool in (first, second, third)] == [0.0, None, None]
+    assert [tool["work"] for tool in (first, second, third)] == [0.0, 3.0, 4.0]
     assert [tool["friction_loss"] for tool in (first, second, third)] == [5.0, 0.0, 0.0]
     assert first["contact_fraction"] == 0.25 and first["contact_fraction_max"] == 0.75
     assert first["contact_period"] == [0.5, 9.0] and first["contact_time"] == {"min": 1.0, "max": 3.0}
@@ -124,7 +164,13 @@ def test_energies_of_tools_that_several_may_have_are_not_told() -> None:
     assert second["contact_period"] == [4.0, 9.0] and second["thickness"] is None
     # It was left before the end.
     assert third["contact_period"] == [5.5, 6.5] and third["contact_time"] is None
-    one = summarize_tools(
-        made, dataclasses.replace(scene, tools=(*scene.tools[:2], dataclasses.replace(tools[2], motion=None)))
-    )
-    assert [tool["work"] for tool in one] == [0.0, 7.0, 0.0]
+
+
+def test_a_warning_of_penetration_names_the_tool_and_its_remedy() -> None:
+    """Coarse elements about a slender pin: none of its edges can be as wide as the sheet."""
+    pin = _tool(molds.revolved(profile=[[0.0, 0.0], [0.08, -0.6], [0.08, -1.5]], segments=12), "pin", None, 0.9)
+    scene = _scene(pin, elements=24)
+    warnings = summarize(jaxform.run(scene), scene)["warnings"]
+    (found,) = [sentence for sentence in warnings if sentence.startswith("the sheet penetrates tool pin, by up to")]
+    assert found.endswith("make parison.element_size smaller, add [refinement], or round the edge of tool pin")
+    assert not any("make the mold" in sentence for sentence in warnings)

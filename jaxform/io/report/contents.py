@@ -159,6 +159,7 @@ _AREA_STRETCH = Quantity("area_stretch", "area stretch")
 _NODAL_QUANTITIES = (
     Quantity("contact_time", "time of contact", "s"),
     Quantity("initial_thickness", "initial thickness", "mm", 1e3),
+    Quantity("slip_distance", "slip distance", "mm", 1e3),
     Quantity("temperature", "temperature of the sheet", "°C"),
 )
 _TOOL = Quantity("tool", "tool in contact")

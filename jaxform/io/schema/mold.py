@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, Tag, model_validator
 
-from jaxform.io.schema.quantities import Point, Triple
+from jaxform.io.schema.quantities import Point, Triple, check_knots
 from jaxform.io.validation import (
     Length,
     NotNegative,
@@ -34,6 +34,32 @@ class MotionTable(Table):
     displacement: Annotated[list[Number], Field(min_length=2)]
 
 
+class FrictionTable(Table):
+    """Coefficient of friction, piecewise linear over the temperature of the sheet.
+
+    Attributes:
+        along: `temperature`.
+        at: Knots [degC], increasing; the coefficient is held beyond the first and the last.
+        value: Coefficients of friction, one per knot.
+    """
+
+    along: Literal["temperature"]
+    at: Annotated[list[Annotated[float, declared_range("parison.temperature")]], Field(min_length=2)]
+    value: list[Annotated[float, declared_range("mold.contact.friction")]]
+
+    @model_validator(mode="after")
+    def _check(self) -> FrictionTable:
+        check_knots(self.at, self.value)
+        return self
+
+
+Friction = Annotated[
+    Annotated[float, declared_range("mold.contact.friction"), Tag("<number>")]
+    | Annotated[FrictionTable, Tag("<profile>")],
+    form(lambda value: "profile" if isinstance(value, dict | FrictionTable) else "number"),
+]
+
+
 class PlacedTable(Table):
     """Keys of all tools: their position and their contact with the sheet.
 
@@ -43,14 +69,14 @@ class PlacedTable(Table):
         land: Width of the land of a mold half [m]: the flat face around its cavity, in the plane across x, y or z in
             which it is open. The parison is pinched between the lands; what lies there is flash, and no part.
         contact: Contact law of the sheet: nodes `stick`, `slide` without friction, or slide with friction (`coulomb`).
-        friction: Coefficient of friction, where contact = "coulomb".
+        friction: Coefficient of friction, where contact = "coulomb"; a number, or { along = "temperature", at, value }.
     """
 
     translate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     rotate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     land: Length | None = None
     contact: Literal["stick", "coulomb", "slide"] = "stick"
-    friction: Annotated[float, declared_range("mold.contact.friction")] | None = None
+    friction: Friction | None = None
 
     @model_validator(mode="after")
     def _check_friction(self) -> PlacedTable:
@@ -60,7 +86,8 @@ class PlacedTable(Table):
         frictionless = self.contact == "slide" and self.friction == 0.0
         if self.contact != "coulomb" and self.friction is not None and not frictionless:
             remedy = 'give contact = "coulomb", or leave the friction out'
-            raise validation_error(f"has no effect with contact = {self.contact}", remedy, "friction", self.friction)
+            given = self.friction.value if isinstance(self.friction, FrictionTable) else self.friction
+            raise validation_error(f"has no effect with contact = {self.contact}", remedy, "friction", given)
         return self
 
 

@@ -43,7 +43,7 @@ class ProfileTable(Table):
 
     @model_validator(mode="after")
     def _check(self) -> ProfileTable:
-        _check_knots(self.at, self.value)
+        check_knots(self.at, self.value)
         return self
 
 
@@ -63,7 +63,7 @@ class NumberProfile(Table):
 
     @model_validator(mode="after")
     def _check(self) -> NumberProfile:
-        _check_knots(self.at, self.value)
+        check_knots(self.at, self.value)
         return self
 
 
@@ -82,7 +82,7 @@ class TargetProfile(Table):
 
     @model_validator(mode="after")
     def _check(self) -> TargetProfile:
-        _check_knots(self.at, self.value)
+        check_knots(self.at, self.value)
         return self
 
 
@@ -108,7 +108,8 @@ class SceneReference(Table):
     scene: str
 
 
-def _check_knots(at: list[float], value: list[float]) -> None:
+def check_knots(at: list[float], value: list[float]) -> None:
+    """Raises a validation error unless the knots increase and there is one value for each."""
     check_increasing(at)
     if len(at) != len(value):
         problem = f"has {len(value)} values for {len(at)} knots"
