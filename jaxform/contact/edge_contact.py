@@ -361,7 +361,8 @@ def values_at_points(nodal: Any, held: HeldSides) -> jax.Array:
 
 
 class HeldNodes(NamedTuple):
-    """Nodes after a step in which sides were held: positions and velocities; the loss, and work of tools [J].
+    """Nodes after a step in which sides were held: positions and velocities; the loss, and work of tools at
+    each side (room,) [J].
 
     Also what the holding forces take of the damping loss per damping and step of the velocity [J], which was counted
     for velocities without them.
@@ -422,7 +423,7 @@ def hold_sides(
         positions=_add_at_ends(positions, [move * push for move in moves], held, scatter),
         velocities=new,
         loss=-jnp.sum(impulse * mean),
-        work=jnp.sum(impulse * speed),
+        work=jnp.sum(impulse * speed, axis=0),
         damped=0.25 * jnp.sum(impulse * (before + values_at_points(velocities, held))),
     )
 

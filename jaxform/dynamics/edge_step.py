@@ -15,6 +15,7 @@ from jaxform.contact.sliding import lying_nodes
 from jaxform.dynamics.window_state import WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once
 from jaxform.model.scene import Scene
+from jaxform.sheet.scheme import add_by_tool
 from jaxform.tools.mold import ToolFrame
 
 Frames = tuple[ToolFrame | None, ...]
@@ -81,16 +82,25 @@ def hold_sides_at_edges(
             differentiable=differentiable,
         )
 
-    free = HeldNodes(nodes.positions, nodes.velocities, zero, zero, zero)
+    free = HeldNodes(nodes.positions, nodes.velocities, zero, jnp.zeros(held.edge.shape, zero.dtype), zero)
     found = lax_cond_once(held.count > 0, hold, free, differentiable=differentiable)
     account, damping = moved.account, scene.solver.damping
     account = dataclasses.replace(account, contact_loss=account.contact_loss + found.loss)
     if damping is not None:
         account = dataclasses.replace(account, damping_loss=account.damping_loss + damping * kick * found.damped)
     if account.tool_work is not None:
-        account = dataclasses.replace(account, tool_work=account.tool_work + found.work)
+        by_tool = add_by_tool(account.by_tool, scene, _tools_of_edges(held.edge, scene), found.work)
+        account = dataclasses.replace(account, tool_work=account.tool_work + jnp.sum(found.work), by_tool=by_tool)
     nodes = dataclasses.replace(nodes, positions=found.positions, velocities=found.velocities)
     return dataclasses.replace(moved, nodes=nodes, account=account)
+
+
+def _tools_of_edges(edge: jax.Array, scene: Scene) -> jax.Array:
+    """The numbers of the tools (room,), as in `Scene.surfaces`, that edges of these numbers are of."""
+    tool = jnp.zeros_like(edge)
+    for first in first_edges(scene)[1:-1]:
+        tool = tool + (edge >= first)
+    return tool
 
 
 def _carrier(edge: jax.Array, scene: Scene, frames: Frames, like: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -174,3 +174,30 @@ def test_a_warning_of_penetration_names_the_tool_and_its_remedy() -> None:
     (found,) = [sentence for sentence in warnings if sentence.startswith("the sheet penetrates tool pin, by up to")]
     assert found.endswith("make parison.element_size smaller, add [refinement], or round the edge of tool pin")
     assert not any("make the mold" in sentence for sentence in warnings)
+
+
+def test_sides_that_edges_of_two_tools_hold_count_for_the_tool_that_holds_them() -> None:
+    """Two discs that slender pins push between their nodes; the sum is the work of both."""
+    sheet = shapes.disc(radius=1.0, elements=24, symmetry="quarter")
+    pin = molds.revolved(profile=[[0.0, 0.0], [0.45, 0.0], [0.45, -1.5]], segments=12)
+    plugs = [_tool(pin, f"plug{k}", None, way=(0.3, 0.5)[k], low=-3.0 * k) for k in (0, 1)]
+    places = np.concatenate([sheet.positions + np.array([0.0, 0.0, 3.0 * k]) for k in (0, 1)])
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(
+            places,
+            np.concatenate([sheet.triangles, sheet.triangles + len(sheet.positions)]),
+            _SHEET,
+            np.tile(sheet.clamped, 2),
+            np.tile(sheet.fixed, (2, 1)),
+        ),
+        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
+        solver=jaxform.make_solver(end_time=_END, damping=2.0, edge_contact=True),
+        tools=plugs,
+        fill=False,
+    )
+    result = jaxform.run(scene)
+    assert int(np.asarray(result.held_sides)) > 0
+    works = [tool["work"] for tool in summarize(result, scene)["tools"]]
+    np.testing.assert_allclose(sum(works), result.energy.tool_work, rtol=1e-12)
+    assert 0.0 < works[0] < works[1]
