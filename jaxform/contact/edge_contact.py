@@ -361,8 +361,7 @@ def values_at_points(nodal: Any, held: HeldSides) -> jax.Array:
 
 
 class HeldNodes(NamedTuple):
-    """Nodes after a step in which sides were held: positions and velocities; the loss, and work of tools at
-    each side (room,) [J].
+    """Nodes after a step in which sides were held: positions and velocities; the loss, and work at each side [J].
 
     Also what the holding forces take of the damping loss per damping and step of the velocity [J], which was counted
     for velocities without them.
