@@ -11,8 +11,14 @@ import pytest
 import jaxform
 from jaxform import molds, shapes
 from jaxform.core.pytree import as_real
-from jaxform.results.summary import summarize, summarize_at_once
+from jaxform.results.summary import (
+    _warnings_of_depth,
+    _warnings_of_penetration,
+    summarize,
+    summarize_at_once,
+)
 from jaxform.results.tool_contact import summarize_tools
+from jaxform.tools.penetration import Penetration
 
 _SHEET, _GAP, _WAY, _END = 0.01, 0.1, 0.5, 10.0
 
@@ -167,13 +173,15 @@ def test_contact_of_tools_that_come_and_go() -> None:
 
 
 def test_a_warning_of_penetration_names_the_tool_and_its_remedy() -> None:
-    """Coarse elements about a slender pin: none of its edges can be as wide as the sheet."""
-    pin = _tool(molds.revolved(profile=[[0.0, 0.0], [0.08, -0.6], [0.08, -1.5]], segments=12), "pin", None, 0.9)
-    scene = _scene(pin, elements=24)
-    warnings = summarize(jaxform.run(scene), scene)["warnings"]
-    (found,) = [sentence for sentence in warnings if sentence.startswith("the sheet penetrates tool pin, by up to")]
-    assert found.endswith("make parison.element_size smaller, add [refinement], or round the edge of tool pin")
-    assert not any("make the mold" in sentence for sentence in warnings)
+    """A plug need not be as wide as the sheet, as a mold must be."""
+    scene = _scene(_tool(molds.plate(radius=0.3), "plug", low=3.0), elements=24)
+    result = jaxform.run(scene)
+    deep = Penetration(0.0, 1.0, np.zeros(3))
+    (found,) = _warnings_of_penetration(result, scene, deep, scene.tools[0])
+    assert found.startswith("the sheet penetrates tool plug, by up to 1 m at ")
+    assert found.endswith("make parison.element_size smaller, add [refinement], or round the edge of tool plug")
+    (of_mold,) = _warnings_of_depth(result, scene, deep, "the mold")
+    assert of_mold.endswith("make the mold as wide as the sheet, or the elements smaller")
 
 
 def test_sides_that_edges_of_two_tools_hold_count_for_the_tool_that_holds_them() -> None:
