@@ -117,7 +117,10 @@ def test_a_file_with_tools_makes_a_scene_with_them() -> None:
         ([_plug(friction=_over(value=[0.1, -0.1]))], "tool.plug.friction.value\\[1\\] = -0.1: is too small"),
         ([_plug(friction=_over(at=[130.0, 90.0]))], "tool.plug.friction.at = \\[130.0, 90.0\\]: does not increase"),
         ([_plug(friction=_over(along="radius"))], "tool.plug.friction.along = 'radius': is unknown; use 'temperature'"),
-        ([_plug(friction=_over(), contact="slide")], "has no effect with contact = slide"),
+        (
+            [_plug(friction=_over(), contact="slide")],
+            "tool.plug.friction = \\[0.15, 0.5\\]: has no effect with contact = slide",
+        ),
         ([_plug(contact="glue")], "tool.plug.contact = 'glue': is unknown; use 'stick', 'coulomb' or 'slide'"),
         ([_plug(direction=None)], "tool.plug.direction: is missing, but time is given"),
         ([_plug(displacement=None)], "tool.plug.displacement: is missing, but direction is given"),
