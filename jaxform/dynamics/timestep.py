@@ -22,10 +22,10 @@ from jaxform.mechanics.constitutive import instantaneous_memory
 from jaxform.mechanics.corners import Load, corner_force_changes
 from jaxform.mechanics.elements import Corners, allocate_corner_forces, gather_shares, gather_table, highest_speed
 from jaxform.model.scene import Scene
-from jaxform.model.tables import MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW
+from jaxform.model.tables import MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW, SLACK
 from jaxform.sheet.active_set import ActiveSet, Workspace
 from jaxform.sheet.discretization import element_law
-from jaxform.sheet.energy_balance import present_pressure
+from jaxform.sheet.energy_balance import energy_rounding, present_pressure
 from jaxform.sheet.state import PackedState, can_move, immobile_nodes, noise_vector
 
 RUNGS_PER_OCTAVE = 16
@@ -36,14 +36,20 @@ _ROUNDING = 1e-3  # of the elements' bound: it is exact where there is one eleme
 _SQUARINGS = 30  # of a small matrix: eigenvalues a billionth apart are then told apart
 _MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
 _RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
-_UNDAMPED = 0.9  # of the step, where nothing damps: near the limit the fast modes win energy over 100 000 steps
-_REGAIN = 2.0  # how many times as long the step must be to rise again where nothing damps
+_UNDAMPED = (
+    0.45  # of the step, where nothing damps: nearer the limit, modes exchange and gain energy (docs/stability.md)
+)
+_WEAK_DAMPING = 5e-4, 2e-3  # of a velocity in a step: with less the step is that without damping, with more the whole
+_GAIN, _MOST_SHORTENING = 1e-3, 4.0  # of the largest work: gained beyond that, the step is shorter in proportion
+_RISE_RUNGS = (
+    15.5  # by how many the step rises again where nothing damps: between two, so that rounding decides nothing
+)
 LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
 _MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness that grows
 
 
-StepLimit = tuple[jax.Array | None, jax.Array, jax.Array]
-"""What is kept of the limit of the stable step for the next window: `mode`, `bound` and `sharpness` as in `State`."""
+StepLimit = tuple[jax.Array | None, jax.Array, jax.Array, jax.Array]
+"""What is kept of the limit of the stable step for the next window: `mode`, `bound`, `sharpness` and `rung`."""
 
 
 StepChoice = tuple[jax.Array, jax.Array, StepLimit, Workspace | None]
@@ -60,9 +66,9 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
     """
     state, scene, active = jax.lax.stop_gradient((state, scene, active))
     longest, limit, room = _limit(state, scene, active)
-    longest = scene.solver.safety * longest
-    if scene.solver.damping is None:
-        longest = _UNDAMPED * longest
+    longest = scene.solver.safety * longest / _gain_factor(state, scene, active)
+    damped = _damped_share(longest, scene)
+    longest = (_UNDAMPED + (1.0 - _UNDAMPED) * damped) * longest
     end = scene.solver.end_time
     for mold, grid, _ in scene.surfaces:
         # No node passes more of the range of its list in one step than can be watched.
@@ -74,18 +80,65 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
             speed, end = speed + fastest, jnp.minimum(end, until)
         longest = jnp.minimum(longest, range_per_step / jnp.maximum(speed, 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
-    if scene.solver.damping is None:
-        # Every change of the step changes the energy of the fast modes, which nothing takes away.
-        held = (state.control.step_length <= rung) & (rung < _REGAIN * state.control.step_length)
-        rung = jnp.where(held, state.control.step_length, rung)
-    rung = rung * jnp.exp2(-state.control.retries)
+    held = jnp.where(damped < 1.0, _hold_rung(rung, state, scene), rung)
+    limit, rung = (*limit[:3], held), held * jnp.exp2(-state.control.retries)
     rest = end - state.time
     most = jnp.minimum(state.control.span, max_step_count(rung, scene))
     if state.control.pace is not None:
         cooling = jnp.maximum(state.control.pace * rung, jnp.finfo(rung.dtype).tiny)
         most = jnp.clip(MOST_COOLING / cooling, 1, most).astype(most.dtype)
-    most = jnp.clip(jnp.ceil(rest / rung), jnp.minimum(most, SHORT_WINDOW), most).astype(most.dtype)
+    left = rest / rung
+    shared = _share_rest(rest, rung, most)
+    rung, most = (jnp.where(damped < 1.0, own, whole) for own, whole in zip(shared, (rung, most), strict=True))
+    most = jnp.clip(jnp.ceil(left), jnp.minimum(most, SHORT_WINDOW), most).astype(state.control.span.dtype)
     return jax.lax.stop_gradient((jnp.minimum(rung, rest / most), most, limit, room))
+
+
+def _gain_factor(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:
+    """By how much the step is to be shortened since the run has gained energy by errors of the scheme: 1 to 4.
+
+    In nonlinear motion the fast modes gain energy at steps at which a linear mode is stable, unless damping takes it.
+    """
+    account = state.account
+    gained = account.imbalance - energy_rounding(scene, active.substance)
+    share = gained / jnp.maximum(account.peak_work, jnp.finfo(gained.dtype).tiny)
+    return jnp.clip(share / _GAIN, 1.0, _MOST_SHORTENING)
+
+
+def _damped_share(length: jax.Array, scene: Scene) -> jax.Array:
+    """From 0, where damping takes too little in a step [s] to keep fast modes from gaining energy, to 1."""
+    damping = scene.solver.damping
+    if damping is None:
+        return jnp.zeros_like(length)
+    taken = jnp.maximum(jax.lax.stop_gradient(damping) * length, jnp.finfo(length.dtype).tiny)
+    weak, strong = (math.log(taken) for taken in _WEAK_DAMPING)
+    return jnp.clip((jnp.log(taken) - weak) / (strong - weak), 0.0, 1.0)
+
+
+def _share_rest(rest: jax.Array, step: jax.Array, most: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Step [s] and largest number of steps of a window where the last two share the rest of the time [s] evenly.
+
+    So neither has steps of quite another length, as what is left for the last alone would have.
+    """
+    left = jnp.ceil(rest / step - SLACK)
+    shared = left < most + SHORT_WINDOW
+    count = jnp.where(left > most, left - jnp.minimum(most, SHORT_WINDOW), left)
+    return jnp.where(shared, rest / jnp.maximum(left, 1), step), jnp.where(shared, count, most)
+
+
+def _hold_rung(rung: jax.Array, state: PackedState, scene: Scene) -> jax.Array:
+    """The rung [s] of a sheet that nothing damps: it falls with the limit, and rises by several rungs at once.
+
+    Every change of the step changes the energy of the fast modes, which nothing takes away; and since the step falls
+    where the sheet is stiff and rises where it is soft, a sheet that swings would gain energy in every period. So as
+    long as nothing sticks to a tool, and no tool moves, the step never rises.
+    """
+    before = state.control.rung
+    longer = (rung > before) & (before > 0.0)
+    if scene.surfaces:
+        rises = rung > jnp.exp2(_RISE_RUNGS / RUNGS_PER_OCTAVE) * before
+        longer &= ~rises if scene.moves else ~(rises & jnp.any(state.nodes.stuck & (state.nodes.wall != 0)))
+    return jnp.where(longer, before, rung)
 
 
 def max_step_count(length: jax.Array, scene: Scene) -> jax.Array:
@@ -109,7 +162,7 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
     """
     bound, begin = element_step_bound(state, scene, active), state.nodes.mode
     if begin is None:
-        return bound, (None, bound, state.control.sharpness), active.workspace
+        return bound, (None, bound, state.control.sharpness, bound), active.workspace
 
     def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[Corners, jax.Array]]) -> Any:
         thorough = found[2]
@@ -138,7 +191,8 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
     growth = (sharpness * bound / before) ** jnp.where(state.control.last_count > 0, windows, 1.0)
     growth = jnp.where(known, jnp.clip(growth, _MOST_GROWTH, 1.0), 1.0)
     room = None if room is None else dataclasses.replace(room, corners=corners, basis=basis)
-    return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, (mode, bound, sharpness), room
+    longest = jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound
+    return longest, (mode, bound, sharpness, longest), room
 
 
 def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:

@@ -32,14 +32,14 @@ from jaxform.dynamics.timestep import (
     element_step_bound,
     max_step_count,
 )
-from jaxform.dynamics.window_end import SLACK, end_of_window_energy, end_window
+from jaxform.dynamics.window_end import end_of_window_energy, end_window
 from jaxform.dynamics.window_state import ContactSearch, KnownContact, WindowData, WindowState
 from jaxform.kernels.blocks import compile_as_one, entry
 from jaxform.kernels.derivatives import save_decision
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Corners, allocate_corner_forces
 from jaxform.model.scene import Scene
-from jaxform.model.tables import SHORT_WINDOW
+from jaxform.model.tables import SHORT_WINDOW, SLACK
 from jaxform.sheet.active_set import ActiveSet, Workspace, active_set_of
 from jaxform.sheet.cooling import cool_state
 from jaxform.sheet.discretization import NEVER, Discretization
@@ -117,7 +117,7 @@ def _step_window(
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[PackedState, WindowState, Workspace | None]:
-    (length, most, (mode, bound, sharpness), room), row = decisions
+    (length, most, (mode, bound, sharpness, rung), room), row = decisions
     modes = active.viscous(scene.material)
     now = WindowData(
         active=active,
@@ -143,7 +143,7 @@ def _step_window(
     found = dataclasses.replace(
         state,
         nodes=dataclasses.replace(state.nodes, mode=mode),
-        control=dataclasses.replace(state.control, sharpness=sharpness),
+        control=dataclasses.replace(state.control, sharpness=sharpness, rung=rung),
     )
     end, corners = end_of_window_energy(moving, scene, now)
     if room is not None:
@@ -275,7 +275,7 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
         even = left / jnp.maximum(steps, 1)
         own = jnp.where(fresh, jnp.minimum(length, even), even)
         most = jnp.clip(steps, 1, max_step_count(own, scene))
-        limit = state.nodes.mode, bound, state.control.sharpness
+        limit = state.nodes.mode, bound, state.control.sharpness, state.control.rung
         return (own, most, limit, None), (row, left)
 
     def beyond_schedule(*now: Any) -> _Decisions:

@@ -18,7 +18,7 @@ from jaxform.mechanics.constitutive import present_memory
 from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Corners, allocate_corner_forces, gather_shares, gather_table
 from jaxform.model.scene import Scene
-from jaxform.model.tables import SHORT_WINDOW
+from jaxform.model.tables import SHORT_WINDOW, SLACK
 from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.energy_balance import element_energy, energy_rounding, last_work, pressure_at
 from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, update_velocity
@@ -26,12 +26,12 @@ from jaxform.sheet.state import PackedState, Replay, State, Status
 from jaxform.tools.mold import tool_velocity
 
 _MOST_RETRIES = 12
-SLACK = 1e-3  # of a step: less is rounding
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
 _FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows become longer
 _STEADY = 0.05  # of the bound on the step: where it changes by more in a window, they become shorter
 _QUIET = 1e-2  # of the largest work: where a window misses more energy, they become shorter
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then retried at most so often
+_GAIN_TOLERANCE = 0.005  # the same where energy is gained, which nothing takes away
 
 
 def end_window(
@@ -69,7 +69,9 @@ def end_window(
     new = dataclasses.replace(new, account=dataclasses.replace(new.account, imbalance=imbalance))
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
     jump = jnp.abs(imbalance - state.account.imbalance) - rounding
-    unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) & (state.control.retries < _RETRIES_FOR_ENERGY)
+    gained = imbalance - jnp.maximum(state.account.imbalance, 0.0) - rounding
+    unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) | (gained > _GAIN_TOLERANCE * new.account.peak_work)
+    unsure &= state.control.retries < _RETRIES_FOR_ENERGY
     # What blew up, and what may have missed the mold since a node flew out of its sphere or faster than it looked, is
     # retried with half the step: the sheet may have stiffened within the window.
     if searched is not None:

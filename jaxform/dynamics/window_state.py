@@ -200,6 +200,7 @@ def initial_state(scene: Scene) -> State:
             retries=none,
             bound=zero,
             sharpness=zero,
+            rung=zero,
             last_length=zero,
             last_count=none,
             pace=None if scene.cooling is None else zero,

@@ -174,6 +174,7 @@ class Control:
         span: Steps that the next window takes, unless it is cut short or the end is near.
         retries: Times that the present window was retried with half the step: it blew up, or may have missed the mold.
         bound, sharpness: The elements' bound on the step [s], and how many times as long the measured one is; 0 before.
+        rung: The step [s] of the last window, had it not been retried and not divided the rest of the time; 0 before.
         last_length, last_count: Step length [s] and steps of the last window; no steps where it was rejected.
         pace: How fast the sheet cools at most [K/s]; None where it does not.
     """
@@ -183,6 +184,7 @@ class Control:
     retries: jax.Array
     bound: jax.Array
     sharpness: jax.Array
+    rung: jax.Array
     last_length: jax.Array
     last_count: jax.Array
     pace: jax.Array | None = None
