@@ -8,6 +8,7 @@ and its pictures are drawn from that file alone.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 import warnings
 from collections import Counter
@@ -185,39 +186,57 @@ def _span(values: list[float]) -> str:
 # --- Energy over a million steps --------------------------------------------------------------------------------------
 
 
-def ringing(steps: int) -> Scene:
-    """A small sphere that a sudden small pressure lets ring, undamped, for about so many steps."""
-    sheet = shapes.sphere(radius=1.0, elements=16, symmetry="quarter")
-    scene = _ringing(sheet, 10.0)
+def undamped() -> dict[str, tuple[str, Law, float]]:
+    """Sheets that a sudden pressure lets swing, undamped: shape, material model, pressure."""
+    laws: dict[str, Law] = {"neo-Hookean": mooney(0.0), "alpha 0.1": mooney(0.1), "Yeoh": yeoh()}
+    pressures = {"neo-Hookean": 0.01, "alpha 0.1": 0.02, "Yeoh": 0.04}
+    found: dict[str, tuple[str, Law, float]] = {
+        f"{shape}, {name}": (shape, law, pressures[name]) for shape in ("disc", "sphere") for name, law in laws.items()
+    }
+    return found | {"small sphere, linear range": ("small sphere", mooney(0.1), 0.01)}
+
+
+def yeoh() -> Law:
+    """Yeoh's model, stiffening."""
+    return jaxform.Yeoh(c1=real(1.0), c2=real(0.02), c3=real(0.002), density=real(1.0))
+
+
+def ringing(steps: int, shape: str = "small sphere", law: Law | None = None, pressure: float = 0.01) -> Scene:
+    """A small sheet that a sudden pressure lets ring, undamped, for so many steps or more."""
+    sheets = {
+        "disc": functools.partial(shapes.disc, elements=40),
+        "sphere": functools.partial(shapes.sphere, elements=40),
+        "small sphere": functools.partial(shapes.sphere, elements=16),
+    }
+    sheet = sheets[shape](radius=1.0, symmetry="quarter")
+    loading = jaxform.make_pressure([0.0], [pressure])
+    scene = scene_of(sheet, law or mooney(0.1), loading, end_time=10.0)
     _, after = next(windows(scene))
-    return _ringing(sheet, steps * float(after.control.last_length))
+    return scene_of(sheet, law or mooney(0.1), loading, end_time=steps * float(after.control.rung))
 
 
-def _ringing(sheet: Sheet, end: float) -> Scene:
-    return scene_of(sheet, mooney(0.1), jaxform.make_pressure([0.0], [0.01]), end_time=end)
-
-
-def measure_drift(steps: int, points: int = 200) -> Found:
-    """What the account of energy misses over time, over the largest work."""
-    scene = ringing(steps)
+def measure_drift(scene: Scene, steps: int, points: int = 200) -> Found:
+    """What the energy balance misses over time, over the largest work; and the largest stretch."""
     state, first, taken = host.begin(scene)
     rows, began, most = [], time.perf_counter(), max(1, steps // SHORT_WINDOW // points)
-    while not bool(is_finished(state, scene)) and int(state.windows) < scene.tables.window_count:
+    stretch = 1.0
+    while not bool(is_finished(state, scene)) and int(state.steps) < steps:
         state, taken, _ = host.advance(state, scene, first, taken, jnp.int32(most))
         result = host.result_of(state, scene, first, taken)
         energy = result.energy
         missed = float(energy.strain) + float(energy.kinetic) - float(energy.external_work)
-        rows.append([int(state.steps), missed / float(state.peak_work)])
-    return {"elements": len(scene.parison.triangles), "steps": int(state.steps), "rows": rows,
+        rows.append([int(state.steps), missed / float(energy.peak_work)])
+        stretch = max(stretch, float(jnp.max(result.stretches)))
+    return {"elements": len(scene.parison.triangles), "steps": int(state.steps), "rows": rows, "stretch": stretch,
             "status": int(state.status), "seconds": time.perf_counter() - began}  # fmt: skip
 
 
 def show_drift(steps: int = STEPS) -> Found:
-    """Both precisions."""
-    found = {"float64": measure_drift(steps)}
+    """Discs and spheres of three material models; the small sphere in both precisions."""
+    found = {name: measure_drift(ringing(steps, *case), steps) for name, case in undamped().items()}
     with jax.enable_x64(False), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found["float32"] = measure_drift(steps)
+        found["small sphere, linear range, float32"] = measure_drift(ringing(steps), steps)
     for name, part in found.items():
         _say(f"{name}: {part['steps']} steps, misses {part['rows'][-1][1]:.1e} at the end, status {part['status']}")
     return found

@@ -84,18 +84,22 @@ def _drift(found: Found, folder: Path) -> str:
     figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
     lines = [
         "## Energy over many steps\n",
-        "A sphere that a sudden small pressure lets ring, without damping. *Missing* is strain and kinetic energy less "
-        "the work done, over the largest work.\n",
-        "| | elements | steps | ended as | swing | mean of the first tenth | of the last | drift |",
-        "|---|---|---|---|---|---|---|---|",
+        "Discs and spheres that a sudden pressure lets swing, without damping, at the default safety: discs swing "
+        "through their plane, and all modes share the energy after a while. *Missing* is strain and kinetic energy "
+        "less the work done, over the largest work. *Swing* is the largest less the least of all values. Without "
+        "damping the step is 0.45 of that with damping, and only falls: nearer the limit the fast modes of a nonlinear "
+        "sheet gain energy, at any constant step, within 10 000 to 100 000 steps.\n",
+        "| | elements | stretch up to | steps | ended as | swing | mean of the first tenth | of the last | drift |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, part in found.items():
         steps, missed = np.array(part["rows"]).T
         tenth = max(1, len(missed) // 10)
         first, last = missed[:tenth].mean(), missed[-tenth:].mean()
         lines.append(
-            f"| {name} | {part['elements']} | {part['steps']} | {_endings_table(part['status'])} "
-            f"| {np.ptp(missed[:tenth]):.1e} | {first:.1e} | {last:.1e} | {last - first:.1e} |"
+            f"| {name} | {part['elements']} | {part['stretch']:.2f} | {part['steps']} "
+            f"| {_endings_table(part['status'])} | {np.ptp(missed):.1e} | {first:.1e} | {last:.1e} "
+            f"| {last - first:.1e} |"
         )
         axes.plot(steps, missed, ".-", linewidth=0.6, markersize=3, label=name)
     axes.set(xlabel="steps", ylabel="energy missing, over the largest work")

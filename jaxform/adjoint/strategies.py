@@ -141,6 +141,9 @@ def choose_adjoint(scene: Scene, chosen: Adjoint | None) -> Adjoint:
 STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 """Default steps, relative to the size of the numbers: above them the function curves, below them it is rounded."""
 
+SECANTS = (1e-6, 1e-2)
+"""Shortest and longest step of the differences that are secants: changes that a designer makes, and less."""
+
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class GradientCheck:
@@ -168,13 +171,41 @@ class GradientCheck:
         finite = self.errors[np.isfinite(self.errors)]
         return float(finite.min()) if finite.size else float("nan")
 
+    @property
+    def secants(self) -> NDArray[np.float64]:
+        """Central differences over steps of a millionth to a hundredth (n_secant,): what changes of the design see."""
+        return self.differences[self._in_secant_range]
+
+    @property
+    def secant_error(self) -> float:
+        """Largest difference between the slope and a secant, relative to the larger of the two; NaN without secants.
+
+        Where `error` is small and this is large, the gradient is right at this design, and yet not the trend: the
+        function has steep ripples that are too small to matter for its value.
+        """
+        found = self.errors[self._in_secant_range]
+        return float(found.max()) if found.size else float("nan")
+
+    @property
+    def _in_secant_range(self) -> NDArray[np.bool_]:
+        shortest, longest = SECANTS
+        return (self.steps >= shortest * (1 - 1e-9)) & (self.steps <= longest * (1 + 1e-9))
+
+    def _describe_secants(self) -> list[str]:
+        """A line on the secants; none where there are none."""
+        if not self.secants.size:
+            return []
+        low, high, apart = self.secants.min(), self.secants.max(), 100 * self.secant_error
+        return [
+            f"secants over {SECANTS[0]:.0e} to {SECANTS[1]:.0e}: {low:.4g} to {high:.4g}, up to {apart:.2g} % apart"
+        ]
+
     def __repr__(self) -> str:
-        """A table with a row for each step."""
+        """A table with a row for each step, and how far the slope and the secants are apart."""
         rows = zip(self.steps, self.differences, self.errors, strict=True)
         lines = [f"{step:8.0e}  {slope:24.16g}  {error:8.1e}" for step, slope, error in rows]
-        return "\n".join(
-            [f"slope by jax.grad: {self.slope:.16g}", "    step       central difference     error", *lines]
-        )
+        title = [f"slope by jax.grad: {self.slope:.16g}", "    step       central difference     error"]
+        return "\n".join([*title, *lines, *self._describe_secants()])
 
 
 def check_gradient(
@@ -190,6 +221,7 @@ def check_gradient(
     A run with contact is smooth between the designs at which a decision changes (which node lands first, which step of
     the ladder is taken), so a large step may show a secant across such changes where `jax.grad` gives the slope at one
     point: errors that fall as the step shrinks, and rise again when rounding takes over, are those of a right gradient.
+    How far slope and secants are apart says how well the slope predicts a change of the design (`secant_error`).
 
     Args:
         function: Of the numbers, returns a scalar.

@@ -22,7 +22,7 @@ from jaxform.mechanics.constitutive import instantaneous_memory
 from jaxform.mechanics.corners import Load, corner_force_changes
 from jaxform.mechanics.elements import Corners, allocate_corner_forces, gather_shares, gather_table, highest_speed
 from jaxform.model.scene import Scene
-from jaxform.model.tables import MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW, SLACK
+from jaxform.model.tables import MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW, SLACK, UNDAMPED
 from jaxform.sheet.active_set import ActiveSet, Workspace
 from jaxform.sheet.discretization import element_law
 from jaxform.sheet.energy_balance import energy_rounding, present_pressure
@@ -36,14 +36,9 @@ _ROUNDING = 1e-3  # of the elements' bound: it is exact where there is one eleme
 _SQUARINGS = 30  # of a small matrix: eigenvalues a billionth apart are then told apart
 _MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
 _RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
-_UNDAMPED = (
-    0.45  # of the step, where nothing damps: nearer the limit, modes exchange and gain energy (docs/stability.md)
-)
 _WEAK_DAMPING = 5e-4, 2e-3  # of a velocity in a step: with less the step is that without damping, with more the whole
 _GAIN, _MOST_SHORTENING = 1e-3, 4.0  # of the largest work: gained beyond that, the step is shorter in proportion
-_RISE_RUNGS = (
-    15.5  # by how many the step rises again where nothing damps: between two, so that rounding decides nothing
-)
+_RISE_RUNGS = 15.5  # by how many the step rises again where nothing damps: between two, so that rounding decides none
 LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
 _MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness that grows
 
@@ -68,7 +63,7 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
     longest, limit, room = _limit(state, scene, active)
     longest = scene.solver.safety * longest / _gain_factor(state, scene, active)
     damped = _damped_share(longest, scene)
-    longest = (_UNDAMPED + (1.0 - _UNDAMPED) * damped) * longest
+    longest = (UNDAMPED + (1.0 - UNDAMPED) * damped) * longest
     end = scene.solver.end_time
     for mold, grid, _ in scene.surfaces:
         # No node passes more of the range of its list in one step than can be watched.

@@ -12,6 +12,7 @@ SHORT_WINDOW, LONG_WINDOW = 64, 256  # steps
 RANGE_PER_STEP = 0.1  # of the search grid's reach, that a node passes at most
 MOST_COOLING = 1.0  # K, of the sheet in a window
 SLACK = 1e-3  # of a step: less is rounding
+UNDAMPED = 0.45  # of the step, where nothing damps: nearer the limit, fast modes gain energy (docs/stability.md)
 
 
 @pytree

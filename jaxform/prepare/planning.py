@@ -23,6 +23,7 @@ from jaxform.model.tables import (
     MOST_COOLING,
     RANGE_PER_STEP,
     SHORT_WINDOW,
+    UNDAMPED,
     Bend,
     BisectionHierarchy,
     ReferenceGeometry,
@@ -175,7 +176,8 @@ def first_step(scene: Scene) -> float:
         children = 2 * bisected + forest.root_count
         active = np.setdiff1d(np.concatenate([active, children, children + 1]), bisected)
     bound = as_real(np.max(np.asarray(scene.tables.bound)[active]))
-    return float(scene.solver.safety) * float(_stiffest_step(bound, scene.law, as_real(1.0)))
+    safety = float(scene.solver.safety) * (UNDAMPED if scene.solver.damping is None else 1.0)
+    return safety * float(_stiffest_step(bound, scene.law, as_real(1.0)))
 
 
 def _stiffness_at_once(square: jax.Array, modes: Modes) -> jax.Array:

@@ -44,7 +44,7 @@ def test_a_direction_of_ones_own_is_taken() -> None:
 def test_a_wrong_gradient_is_seen_at_every_step() -> None:
     found = jaxform.check_gradient(_wrong, jnp.asarray([1.0, 2.0]))
     np.testing.assert_allclose(found.errors, 0.03 / 3.03, rtol=1e-2)
-    assert len(repr(found).splitlines()) == 2 + len(found.steps)
+    assert len(repr(found).splitlines()) == 3 + len(found.steps)
 
 
 def test_single_precision_numbers_keep_their_precision() -> None:
@@ -56,3 +56,24 @@ def test_single_precision_numbers_keep_their_precision() -> None:
 def test_steps_that_are_none_are_refused(steps: tuple[float, ...]) -> None:
     with pytest.raises(jaxform.InputError, match="positive"):
         jaxform.check_gradient(lambda x: x, jnp.asarray(1.0), steps=steps)
+
+
+def test_the_slope_of_a_ripple_is_told_from_the_secants() -> None:
+    """A ripple that is a ten-thousandth of the value has ten times its slope."""
+
+    def ripple(x: jax.Array) -> jax.Array:
+        return x + 1e-4 * jnp.sin(1e5 * x)
+
+    found = jaxform.check_gradient(ripple, jnp.asarray(1.0), direction=jnp.asarray(1.0))
+    assert found.error < 1e-3
+    exact = 1.0 + 10.0 * np.cos(1e5)
+    np.testing.assert_allclose(found.slope, exact, rtol=1e-10)
+    assert len(found.secants) == 5
+    steps = np.array([1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
+    secants = 1.0 + 1e-4 * np.cos(1e5) * np.sin(1e5 * steps) / steps
+    np.testing.assert_allclose(found.secants, secants, rtol=1e-6)
+    apart = np.abs(secants - exact) / np.maximum(np.abs(secants), abs(exact))
+    assert found.secant_error == pytest.approx(float(apart.max()), rel=1e-6)
+    assert "% apart" in repr(found).splitlines()[-1]
+    smooth = jaxform.check_gradient(lambda x: x**2, jnp.asarray(1.0), direction=jnp.asarray(1.0))
+    assert smooth.secant_error < 1e-4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -62,6 +63,20 @@ def test_a_scaled_copy_takes_the_same_steps() -> None:
     assert one.schedule is not None and four.schedule is not None
     np.testing.assert_array_equal(one.schedule.counts, four.schedule.counts)
     np.testing.assert_allclose(4.0 * one.positions, four.positions, rtol=0, atol=1e-6)
+
+
+def test_every_loop_takes_the_same_steps_and_the_slope_is_that_of_differences() -> None:
+    scene = _ringing_disc(0.01, 3.0)
+    ran, simulated = jaxform.run(scene), jaxform.simulate(scene)
+    np.testing.assert_allclose(simulated.positions, ran.positions, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(simulated.energy.kinetic, ran.energy.kinetic, rtol=1e-9)
+
+    def energy(thickness: jax.Array) -> jax.Array:
+        result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}), schedule=ran.schedule)
+        return result.energy.kinetic + jnp.sum(result.thickness)
+
+    found = jaxform.check_gradient(energy, scene.parison.thickness, steps=(1e-4, 1e-5, 1e-6))
+    assert found.error < 1e-6
 
 
 def test_weak_damping_shortens_the_step_and_strong_damping_does_not() -> None:
