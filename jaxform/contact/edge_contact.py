@@ -44,6 +44,7 @@ from jaxform.tools.surface_walk import ContactSurface
 
 NOT_HELD = jnp.iinfo(jnp.int32).max
 _MOST_PASSES, _ACCURACY = 100, 1e-9  # of the solver: passes, and what is left of the gaps
+_ROUNDINGS = 64  # that the gaps are accurate to, in float32
 _SOFTNESS = 1e-5  # of a held side's own compliance: where more are held than can be
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
 _OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
@@ -457,7 +458,7 @@ def _conjugate_gradients(displace: Callable[[jax.Array], jax.Array], gap: jax.Ar
     """The pushes (3, room) that displace held points by the gaps (3, room) [m]; preconditioned by the diagonal."""
     start = inverse * gap
     first = _Pushes(jnp.int32(0), jnp.zeros_like(gap), gap, start, jnp.sum(gap * start))
-    least = _ACCURACY * _ACCURACY * first.square
+    least = max(_ACCURACY, _ROUNDINGS * float(jnp.finfo(gap.dtype).eps)) ** 2 * first.square
 
     def more(now: _Pushes) -> jax.Array:
         return (now.count < _MOST_PASSES) & (now.square > least)
