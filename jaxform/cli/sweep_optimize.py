@@ -54,7 +54,7 @@ def optimize_design(task: tuple[SceneDocument, Setting, tuple[str, Path, dict[st
         InputError: The scene cannot be simulated, or the search does not fit it.
     """
     document, setting, (file, base, data) = task
-    before, warned = evaluation.compiled(), []
+    before, warned = evaluation.count_compiled(), []
     worker = store, _ = evaluation.set_up(setting)
     model = validate(schema.StudyFile, {"scene": document.name, **data}, file)
     with evaluation.compile_once(worker, search_digest(data)), evaluation.tell_warnings(warned.append):
@@ -70,7 +70,7 @@ def optimize_design(task: tuple[SceneDocument, Setting, tuple[str, Path, dict[st
     measures |= {name: found["after"][name] for name in ("objective", "thickness_rms_error")}
     measures |= {"violation": found["violation"], "simulations": found["simulations"]}
     status = summary["status"] if int(design.result.status) or design.broken else OK
-    return Outcome(status, (measures, archive, evaluation.compiled() - before))
+    return Outcome(status, (measures, archive, evaluation.count_compiled() - before))
 
 
 def _write_files(folder: Path, document: SceneDocument, design: Any, warned: list[str]) -> dict[str, Any]:

@@ -102,26 +102,17 @@ class KnownSides(NamedTuple):
 # Where a side meets an edge.
 
 
-class _Meeting(NamedTuple):
-    """Whether sides (n,) pass edges in a step, pair by pair; at which share of them and at which points [m]."""
+_Meetings = tuple[jax.Array, jax.Array, Vector]
+"""Whether sides (n,) pass edges in a step, pair by pair; at which share of them and at which points [m]."""
 
-    passes: jax.Array
-    share: jax.Array
-    point: Vector
-
-
-class _Corners(NamedTuple):
-    """Ends of edges, and the third corner of both faces there, each three times (n,) [m]."""
-
-    begin: Vector
-    end: Vector
-    one: Vector
-    other: Vector
+_Corners = tuple[Vector, Vector, Vector, Vector]
+"""Begin and end of edges, then the third corner of either face there, each three times (n,) [m]."""
 
 
 def edge_corners(mold: Mold, edges: jax.Array, number: jax.Array) -> _Corners:
     """The corners at edges with these numbers (n,), of the edges (4, n_edge) of a tool; differentiable."""
-    return _Corners(*(vector(mold.vertices[edges[k, number]].T) for k in range(4)))
+    begin, end, one, other = (vector(mold.vertices[edges[k, number]].T) for k in range(4))
+    return begin, end, one, other
 
 
 def _scale(factor: Any, a: Vector) -> Vector:
@@ -147,19 +138,20 @@ def _oriented_normal(side: Vector, along: Vector, outward: Vector) -> tuple[Vect
     return _scale(jnp.where(dot(normal, outward) < 0.0, -1.0, 1.0), normal), there
 
 
-def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: _Corners) -> _Meeting:
+def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: _Corners) -> _Meetings:
     """Where sides meet edges, pair by pair: from the ends' paths in a step, in the tool's frame."""
-    edge = minus(corners.end, corners.begin)
+    start, end, *thirds = corners
+    edge = minus(end, start)
     along, there = _unit(edge)
-    ways = [_across(minus(corner, corners.begin), along) for corner in (corners.one, corners.other)]
+    ways = [_across(minus(third, start), along) for third in thirds]
     outward = _scale(-1.0, plus(*ways))
     normal0, turns0 = _oriented_normal(minus(before[1], before[0]), along, outward)
     normal1, turns1 = _oriented_normal(minus(after[1], after[0]), along, outward)
-    gap0, gap1 = dot(minus(before[0], corners.begin), normal0), dot(minus(after[0], corners.begin), normal1)
+    gap0, gap1 = dot(minus(before[0], start), normal0), dot(minus(after[0], start), normal1)
     passes = there & turns0 & turns1 & (gap0 >= 0.0) & (gap1 < 0.0)
     beta = jnp.where(passes, gap0 / jnp.where(passes, gap0 - gap1, 1.0), 0.0)
     first, second = (plus(_scale(1.0 - beta, a), _scale(beta, b)) for a, b in zip(before, after, strict=True))
-    side, away = minus(second, first), minus(first, corners.begin)
+    side, away = minus(second, first), minus(first, start)
     a, b, c = dot(side, side), dot(side, edge), dot(edge, edge)
     d, e = dot(side, away), dot(edge, away)
     scale = a * c - b * b
@@ -169,7 +161,7 @@ def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: 
     passes &= (share > 0.0) & (share < 1.0) & (far >= 0.0) & (far <= 1.0)
     # A line that touches the edge from outside has its normal between those of both faces.
     passes &= (dot(normal1, ways[0]) <= _CONE) & (dot(normal1, ways[1]) <= _CONE)
-    return _Meeting(passes, share, plus(corners.begin, _scale(far, edge)))
+    return passes, share, plus(start, _scale(far, edge))
 
 
 # Search for sides that meet edges, while a list of candidates is valid; not differentiable.
@@ -286,37 +278,38 @@ def find_held_sides(
         begin = materialize(k * TEST_BLOCK)
         one, other, edge = (slice_at(row, begin, TEST_BLOCK) for row in (near.ends[0], near.ends[1], near.edge))
         (before_one, after_one), (before_other, after_other) = paths.ends(one), paths.ends(other)
-        found = _meet((before_one, before_other), (after_one, after_other), edge_corners(surface.mold, edges, edge))
+        corners = edge_corners(surface.mold, edges, edge)
+        passes, share, point = _meet((before_one, before_other), (after_one, after_other), corners)
         stuck = gather(nodes.stuck, one), gather(nodes.stuck, other)
-        hangs = jnp.where(stuck[0], 1.0 - found.share, jnp.where(stuck[1], found.share, 0.0))
-        passes = found.passes & ~(stuck[0] & stuck[1]) & (hangs <= _OVERHANG)
+        hangs = jnp.where(stuck[0], 1.0 - share, jnp.where(stuck[1], share, 0.0))
+        passes = passes & ~(stuck[0] & stuck[1]) & (hangs <= _OVERHANG)
         passes &= begin + jnp.arange(TEST_BLOCK) < near.count
-        found = found._replace(passes=passes)
-        pairs = materialize((one, other, first + edge, found))
-        return k + 1, lax_cond_once(jnp.any(found.passes), lambda held: _add_sides(held, *pairs, number), held)
+        pairs = materialize((one, other, first + edge, (passes, share, point)))
+        return k + 1, lax_cond_once(jnp.any(passes), lambda held: _add_sides(held, *pairs, number), held)
 
     return jax.lax.while_loop(more, test, (jnp.int32(0), held))[1]
 
 
 def _add_sides(
-    held: HeldSides, one: jax.Array, other: jax.Array, edge: jax.Array, found: _Meeting, number: jax.Array
+    held: HeldSides, one: jax.Array, other: jax.Array, edge: jax.Array, found: _Meetings, number: jax.Array
 ) -> HeldSides:
     """Adds the sides that pass, one by one, unless they are held near there, or there is no room."""
+    passes, shares, points = found
 
     def add(k: jax.Array, held: HeldSides) -> HeldSides:
-        i, j, share = entry(one, k), entry(other, k), entry(found.share, k)
+        i, j, share = entry(one, k), entry(other, k), entry(shares, k)
         there = held.step != NOT_HELD
         same = (held.ends[0] == i) & (held.ends[1] == j)
         turned = (held.ends[0] == j) & (held.ends[1] == i)
         place = jnp.where(turned, 1.0 - held.share, held.share)
         known = jnp.any(there & (same | turned) & (jnp.abs(place - share) < _APART))
-        takes = entry(found.passes, k) & ~known & (held.count < held.share.size)
+        takes = entry(passes, k) & ~known & (held.count < held.share.size)
         at = jnp.minimum(held.count, held.share.size - 1)
 
         def write(values: jax.Array, new: jax.Array) -> jax.Array:
             return put(values, jnp.where(takes, new[..., None], slice_at(values, at, 1)), at)
 
-        values = jnp.stack([i, j]), share, jnp.stack([entry(x, k) for x in found.point]), entry(edge, k), number
+        values = jnp.stack([i, j]), share, jnp.stack([entry(x, k) for x in points]), entry(edge, k), number
         values, held = materialize((values, held))
         return HeldSides(
             write(held.ends, values[0]),
@@ -345,9 +338,10 @@ def hold_known_sides(
     def place(held: HeldSides) -> HeldSides:
         (before_one, after_one), (before_other, after_other) = (paths.ends(end) for end in known.ends)
         own = jnp.where(here, known.edge - first, 0)
-        found = _meet((before_one, before_other), (after_one, after_other), edge_corners(surface.mold, edges, own))
-        point = jnp.where(here, jnp.stack(found.point), held.point)
-        return dataclasses.replace(held, share=jnp.where(here, found.share, held.share), point=point)
+        corners = edge_corners(surface.mold, edges, own)
+        _, share, point = _meet((before_one, before_other), (after_one, after_other), corners)
+        point = jnp.where(here, jnp.stack(point), held.point)
+        return dataclasses.replace(held, share=jnp.where(here, share, held.share), point=point)
 
     return jax.lax.cond(jnp.any(here), jax.checkpoint(place), lambda held: held, held)
 

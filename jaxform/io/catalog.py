@@ -46,7 +46,7 @@ def read(name_or_path: str | Path, kind: Kind, folder: Path | None = None) -> tu
         return f"{name} (built-in {kind})", known[name], _tables(known[name], name)
     path = disk.expand_path(name, folder)
     if not disk.is_file(path):
-        raise _missing(name, path, kind, known)
+        raise _missing_file_error(name, path, kind, known)
     return str(path), path, _tables(path, str(path))
 
 
@@ -77,7 +77,7 @@ def _folders(kind: Kind) -> list[Path]:
     return [Path(place) / "studies" for place in (spec and spec.submodule_search_locations) or ()]
 
 
-def _missing(name: str, path: Path, kind: Kind, known: Iterable[str]) -> InputError:
+def _missing_file_error(name: str, path: Path, kind: Kind, known: Iterable[str]) -> InputError:
     if os.path.isdir(path):
         return InputError("is a folder", f"name the {kind}'s .toml file in it", value=name)
     close = difflib.get_close_matches(name, list(known), n=1)

@@ -18,6 +18,7 @@ from jaxform.core.store import PACKAGE, Store
 from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
 from jaxform.mesh import bisection, topology, volumes
+from jaxform.mesh.topology import sharp_edges
 from jaxform.model.field import Field
 from jaxform.model.part import Part, check_part
 from jaxform.model.scene import Parison, Refinement, Scene, Solver, sample_pressures
@@ -40,7 +41,6 @@ from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.packing import make_assembly, make_paired_assembly
 from jaxform.tools.mold import Mold, Motion
 from jaxform.tools.search import SearchGrid, build_grid
-from jaxform.tools.sharp_edges import sharp_edges
 from jaxform.tools.surface_walk import ContactSurface, connected_parts, signed_neighbors
 
 # Rims that can move, along which the enclosed volume is not all that the sheet sweeps; on the host.

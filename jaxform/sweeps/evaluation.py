@@ -99,7 +99,7 @@ _BEGAN = time.time_ns()
 _compiled = [0]
 
 
-def compiled() -> int:
+def count_compiled() -> int:
     """Number of programs that this process has compiled, and found nowhere."""
     return _compiled[0]
 
@@ -153,7 +153,7 @@ def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
         InputError: The scene cannot be simulated.
     """
     document, setting = task
-    before = compiled()
+    before = count_compiled()
     worker = store, _ = set_up(setting)
     warned: list[str] = []
     with compile_once(worker, _kind(document)), tell_warnings(warned.append):
@@ -171,7 +171,7 @@ def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
             scene_rewriting.keep_scene(document, folder)
             archive = pack(folder)
     measures = measures_of(summary) | {"seconds": time.perf_counter() - began}
-    return Outcome(summary["status"], (measures, archive, compiled() - before))
+    return Outcome(summary["status"], (measures, archive, count_compiled() - before))
 
 
 @contextlib.contextmanager

@@ -117,7 +117,7 @@ def find_body(mesh: Mesh) -> BottleBody:
 def _symmetry(outside: _Outside) -> tuple[Array, str]:
     """The direction x (3,) of a bottle's frame, and the symmetry of the bottle in it, as `BottleBody`."""
     planes = _MirrorPlanes(outside)
-    angles, limit = planes.refined(), _SYMMETRIC * (outside[4] - outside[3])
+    angles, limit = planes.best_angles(), _SYMMETRIC * (outside[4] - outside[3])
     pairs = [max(planes.error(angle), planes.error(angle + 0.5 * np.pi)) for angle in angles]
     if min(pairs) <= limit:
         return planes.normal(angles[int(np.argmin(pairs))]), "quarter"
@@ -266,7 +266,7 @@ def _parting_normal(outside: _Outside) -> Array:
     mesh, axis, *_ = outside
     length = float(np.ptp(mesh.positions @ axis))
     planes = _MirrorPlanes(outside)
-    angles = planes.refined()
+    angles = planes.best_angles()
     error = np.array([planes.error(angle) for angle in angles])
     extent = np.array([float(np.ptp(mesh.positions @ planes.normal(angle))) for angle in angles])
     mirrored = error <= _MIRRORED * length
@@ -304,7 +304,7 @@ class _MirrorPlanes:
         image = self._picked - 2.0 * np.outer((self._picked - self._rim) @ way, way)
         return float(np.sqrt(np.mean(np.square(self._surface.nearest(image).distance))))
 
-    def refined(self) -> list[float]:
+    def best_angles(self) -> list[float]:
         """Evenly spaced angles, those between which the error is least moved to where it is, if that is elsewhere."""
         turn = np.pi / _TURNS
         angles = [float(angle) for angle in turn * np.arange(_TURNS)]
@@ -400,7 +400,7 @@ def _axes(corners: Array, area: Array, middle: Array) -> list[Array]:
     return [*np.eye(3), *np.linalg.svd(moment)[2]]
 
 
-def _turned(points: Array, middle: Array, axis: Array) -> Array:
+def _in_bottle_frame(points: Array, middle: Array, axis: Array) -> Array:
     """Points (..., 3) with the axis as z and the middle as origin."""
     other = np.eye(3)[np.argmin(np.abs(axis))]
     across = np.cross(axis, other)
@@ -439,7 +439,7 @@ def _extreme(segments: Array, levels: Array, level_of: int, value_of: int, large
 
 def _sections(corners: Array, middle: Array, axis: Array) -> tuple[Array, Array, float]:
     """An axis, the outer radius (levels, 2) over the height along it, and its variation around, relative."""
-    turned = _turned(corners, middle, axis)
+    turned = _in_bottle_frame(corners, middle, axis)
     low, high = turned[..., 2].min(), turned[..., 2].max()
     levels = np.linspace(low, high, _LEVELS + 1)
     inner = np.clip(levels, low + _ENDS * (high - low), high - _ENDS * (high - low))
@@ -458,7 +458,7 @@ def _from_neck(corners: Array, middle: Array, axis: Array, outside: Array, varia
     if outside[:tenth, 0].mean() > outside[-tenth:, 0].mean():
         axis, outside = -axis, (outside * [1.0, -1.0])[::-1]
     origin = middle + outside[0, 1] * axis
-    turned = _turned(corners, origin, axis)
+    turned = _in_bottle_frame(corners, origin, axis)
     side = outside - [0.0, outside[0, 1]]
     length = side[-1, 1]
     # Seen from below, the bottom: from the axis to the ring on which the body stands.

@@ -130,7 +130,7 @@ def _fitting(
     goal, a, b = target[vertex], triangles[row, (corner + 1) % 3], triangles[row, (corner + 2) % 3]
     total = np.zeros(count)
     np.maximum.at(total, vertex, error[row])
-    bad = ~_linked(edges[1], (vertex, goal, a, b), count)
+    bad = ~_can_collapse(edges[1], (vertex, goal, a, b), count)
     stays = (goal != a) & (goal != b)
     row, vertex, goal, a, b = (each[stays] for each in (row, vertex, goal, a, b))
     away, turned = _deviations(places, (vertex, goal, a, b))
@@ -169,7 +169,7 @@ def _off_the_rim(places: Array, edges: _Edges, target: Integers) -> Array:
     return away
 
 
-def _linked(edge_key: Integers, star: tuple[Integers, ...], count: int) -> Mask:
+def _can_collapse(edge_key: Integers, star: tuple[Integers, ...], count: int) -> Mask:
     """At which vertices (n,) the star (vertex, target, a, b) can be collapsed without folding the mesh onto itself.
 
     Vertex and target have no common neighbours but those across from their edge.

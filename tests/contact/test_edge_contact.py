@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import jaxform
 from jaxform.core.pytree import as_real
-from jaxform.tools.sharp_edges import sharp_edges
+from jaxform.mesh.topology import sharp_edges
 
 DOME = [[0.06 * np.sin(angle), 0.06 * np.cos(angle)] for angle in np.linspace(0.0, 0.5 * np.pi, 7)]
 LENGTH, RIDGE, WALL, MODULUS = 0.1, 0.0347, 1e-3, 0.2e6
