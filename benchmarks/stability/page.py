@@ -87,9 +87,9 @@ def _drift(found: Found, folder: Path) -> str:
         "Discs and spheres that a sudden pressure lets swing, without damping, at the default safety: discs swing "
         "through their plane, and all modes share the energy after a while. *Missing* is strain and kinetic energy "
         "less the work done, over the largest work. *Swing* is the largest less the least of all values. Without "
-        "damping the step is 0.45 of that with damping, and only falls: nearer the limit the fast modes of a nonlinear sheet "
-        "gain energy at any constant step: the disc of the first row at 0.8, 0.7 and 0.6 of the limit of the flat "
-        "sheet bursts within 2000, 14 000 and 160 000 steps.\n",
+        "damping the step is 0.45 of that with damping, and only falls: nearer the limit the fast modes of a nonlinear "
+        "sheet gain energy at any constant step: the disc of the first row at 0.8, 0.7 and 0.6 of the limit of the "
+        "flat sheet bursts within 2000, 14 000 and 160 000 steps.\n",
         "| | elements | stretch up to | steps | ended as | swing | mean of the first tenth | of the last | drift |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
