@@ -84,13 +84,13 @@ def show_second() -> None:
 
 def _whole(scene: Scene, store: Store) -> Callable[[], Any]:
     """A run of a scene in arrays as they are, from its begin to its result, compiled beforehand."""
-    programs = host.programs(scene, store)
-    made, last = programs.result.ready(), np.bool_(True)
+    begin, advance, pending = host.programs(scene, store)
+    made, last = pending.ready(), np.bool_(True)
     most = np.int32(scene.tables.window_count)
 
     def run() -> Any:
-        state, first, taken = programs.begin(scene)
-        state, taken, _ = programs.advance(state, scene, first, taken, most)
+        state, first, taken = begin(scene)
+        state, taken, _ = advance(state, scene, first, taken, most)
         return jax.block_until_ready(made(state, scene, first, taken, last))
 
     return run

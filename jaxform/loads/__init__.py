@@ -12,11 +12,8 @@ from jaxform.loads.loading import (
     next_pressure,
 )
 
-GasSupply, make_gas_supply = Gas, make_gas  # older names of the same, kept for scripts
-
 __all__ = [
     "Gas",
-    "GasSupply",
     "Interval",
     "LoadState",
     "Loading",
@@ -26,7 +23,6 @@ __all__ = [
     "list_gases",
     "loading",
     "make_gas",
-    "make_gas_supply",
     "make_pressure",
     "make_two_sided_load",
     "next_pressure",

@@ -25,13 +25,19 @@ VALVE, VENT = [0.0, 0.3, 0.3, 1.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 SUPPLY = [6e5, 6e5, 6e5, 3e6, 3e6, 3e6]
 
 
-def _vessel(**changes: Any) -> jaxform.GasSupply:
+def _vessel(**changes: Any) -> jaxform.Gas:
     """Pre-blow at 6 bar, blow at 30 bar, then the vent; of a rigid vessel of 0.1 l."""
-    given = {"supply_pressure": SUPPLY, "orifice_area": 4e-6, "valve": VALVE, "vent_area": 3e-6, "vent": VENT}
-    return jaxform.make_gas_supply(KNOTS, **(given | {"dead_volume": VESSEL} | changes))
+    given: dict[str, Any] = {
+        "supply_pressure": SUPPLY,
+        "orifice_area": 4e-6,
+        "valve": VALVE,
+        "vent_area": 3e-6,
+        "vent": VENT,
+    }
+    return jaxform.make_gas(KNOTS, **(given | {"dead_volume": VESSEL} | changes))
 
 
-def _fill(gas: jaxform.GasSupply, count: int, end: float) -> np.ndarray:
+def _fill(gas: jaxform.Gas, count: int, end: float) -> np.ndarray:
     """Gauge pressures (count,) [Pa] of the vessel after equal steps."""
     length, none = jnp.asarray(end / count), jnp.asarray(0.0)
 
@@ -104,7 +110,7 @@ def test_flow_is_smooth_at_equal_pressures_and_odd() -> None:
 def _sphere(end_time: float, elements: int, **given: Any) -> jaxform.Scene:
     """A quarter of a closed Mooney-Rivlin sphere of radius 1, with pressures in units of c; R T = 1."""
     sheet = shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
-    gas = jaxform.make_gas_supply(temperature=1.0, gas_constant=1.0, ambient_pressure=0.05, **given)
+    gas = jaxform.make_gas(temperature=1.0, gas_constant=1.0, ambient_pressure=0.05, **given)
     return jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
         material=scenes.mooney(0.1),
