@@ -28,13 +28,14 @@ SUPPLY = [6e5, 6e5, 6e5, 3e6, 3e6, 3e6]
 def _vessel(**changes: Any) -> jaxform.Gas:
     """Pre-blow at 6 bar, blow at 30 bar, then the vent; of a rigid vessel of 0.1 l."""
     given: dict[str, Any] = {
+        "dead_volume": VESSEL,
         "supply_pressure": SUPPLY,
         "orifice_area": 4e-6,
         "valve": VALVE,
         "vent_area": 3e-6,
         "vent": VENT,
     }
-    return jaxform.make_gas(KNOTS, **(given | {"dead_volume": VESSEL} | changes))
+    return jaxform.make_gas(KNOTS, **(given | changes))
 
 
 def _fill(gas: jaxform.Gas, count: int, end: float) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +28,8 @@ def test_every_loss_enters_the_balance(name: str) -> None:
     parts = {part.name: jnp.asarray(1.0) for part in dataclasses.fields(Energy) if part.name != "by_tool"}
     total = 2.0 + len(LOSSES)  # strain, kinetic energy and all losses; tool, gravity and pre-stretch did 1 each
     pressure = jnp.asarray(total - 3.0)
-    energy = Energy(**(parts | {"external_work": pressure, "peak_work": pressure, "rounding": jnp.zeros(())}))
+    given: dict[str, Any] = parts | {"external_work": pressure, "peak_work": pressure, "rounding": jnp.zeros(())}
+    energy = Energy(**given)
     np.testing.assert_allclose(energy.balance_error, 0.0, atol=1e-15)
     other = dataclasses.replace(energy, **{name: jnp.asarray(2.0)})
     np.testing.assert_allclose(other.balance_error, 1.0 / total, rtol=1e-12)
