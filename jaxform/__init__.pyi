@@ -7,14 +7,12 @@ from .core.pytree import parameter
 from .io.files import load
 from .loads import (
     Gas,
-    GasSupply,
     Interval,
     Loading,
     Pressure,
     TwoSidedLoad,
     loading,
     make_gas,
-    make_gas_supply,
     make_pressure,
     make_two_sided_load,
 )
@@ -71,7 +69,6 @@ __all__ = [
     "Coulomb",
     "Field",
     "Gas",
-    "GasSupply",
     "Gent",
     "GradientCheck",
     "InputError",
@@ -120,7 +117,6 @@ __all__ = [
     "loading",
     "make_contact_law",
     "make_gas",
-    "make_gas_supply",
     "make_mold",
     "make_motion",
     "make_parison",
