@@ -85,7 +85,7 @@ def show_second() -> None:
 def _whole(scene: Scene, store: Store) -> Callable[[], Any]:
     """A run of a scene in arrays as they are, from its begin to its result, compiled beforehand."""
     begin, advance, pending = host.programs(scene, store)
-    made, last = pending.ready(), np.bool_(True)
+    made, last = pending.result(), np.bool_(True)
     most = np.int32(scene.tables.window_count)
 
     def run() -> Any:
