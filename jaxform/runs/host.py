@@ -6,6 +6,7 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import NamedTuple
 
 import jax
@@ -145,7 +146,7 @@ def _run(
     own, room = scene, select_bucket(scene, store)
     scene, limit = room.scene, own.solver.max_steps
     began = time.perf_counter()
-    begin, advance, result = programs(scene, store)
+    begin, advance, ending = programs(scene, store)
     state, first, taken = begin(scene)
     ready, telling = time.perf_counter(), 0.0
     follows = state.account.load_state is not None
@@ -161,7 +162,7 @@ def _run(
             # One program for each size; the run goes on where it was.
             paused = time.perf_counter()
             scene, state, taken = more
-            begin, advance, result = programs(scene, store)
+            begin, advance, ending = programs(scene, store)
             first = begin(scene)[1]
             compiling += time.perf_counter() - paused
             telling += time.perf_counter() - paused
@@ -170,7 +171,7 @@ def _run(
             _record_pressure(pressures, state)
         if on_window is not None or contacts is not None:
             now = state, scene, first, taken
-            moment = _moment(state, scene, lambda now=now, made=result: room.result(made[1].result()(*now, _GOING)))
+            moment = _moment(state, scene, lambda now=now, made=ending: room.result(made.result()(*now, _GOING)))
             told = time.perf_counter()
             if contacts is not None and not done:
                 contacts.offer(moment)
@@ -183,7 +184,7 @@ def _run(
         if done:
             break
     paused = time.perf_counter()
-    made = result[1].result()
+    made = ending.result()
     compiling += time.perf_counter() - paused
     telling += time.perf_counter() - paused
     final = room.result(made(state, scene, first, taken, _LAST))
@@ -369,10 +370,10 @@ def programs(
 ) -> tuple[
     Callable[[Scene], tuple[State, Discretization, Taken]],
     Callable[..., tuple[State, Taken, jax.Array]],
-    PendingProgram,
+    Future[Callable[..., Result]],
 ]:
     """The compiled programs that begin a run and take windows, and the pending one that makes its result."""
-    (_, beginning), (_, advancing), ending = _request_programs(scene, store)
+    (_, beginning), (_, advancing), (_, ending) = _request_programs(scene, store)
     return beginning.result(), advancing.result(), ending
 
 
