@@ -204,7 +204,7 @@ def _unpack(packed: bytes) -> tuple[Study, Any, dict[str, Any]]:
 
 
 def _search_start(task: tuple[bytes, np.ndarray | None, Journal, WorkerSetting]) -> tuple[Design, int]:
-    """What a worker does for a start: the design of its search, and the number of evaluations that were known."""
+    """The design of a start's search, and the number of evaluations that were known; computed by a worker."""
     packed, first, journal, setting = task
     worker = set_up(setting)
     study, _, programs = _unpack(packed)
@@ -226,7 +226,7 @@ def _evaluate_elsewhere(
 
 
 def _evaluate_design(task: tuple[bytes, np.ndarray, WorkerSetting]) -> Answer:
-    """What a worker does for a design: its value, and the processor time that it took [s]."""
+    """The value of a design, and the processor time that it took [s]; computed by a worker."""
     packed, free, setting = task
     set_up(setting)
     study, (schedule, limits), programs = _unpack(packed)

@@ -104,7 +104,7 @@ def _remesh_once(sheet: Sheet, size: Array) -> Sheet:
 
 
 def _holds(sheet: Sheet, edge: Index) -> Array:
-    """How boundary edges are held (k, 7): whether both ends are clamped, held along x, y, z, and at which place [m]."""
+    """Constraints of boundary edges (k, 7): 1 if both ends are clamped, held along x, y, z; and the place [m] there."""
     fixed = sheet.fixed[edge].all(1)
     level = np.where(fixed, sheet.positions[edge[:, 0]], 0.0)
     return np.concatenate([sheet.clamped[edge].all(1)[:, None], fixed, level], axis=1).astype(float)

@@ -184,7 +184,7 @@ def _way(motion: Motion) -> str:
 
 
 def _contact_words(tool: Mold) -> str:
-    """What nodes on a mold or tool do, in words."""
+    """The contact law of a mold or tool, in words."""
     law = tool.contact
     if isinstance(law, Coulomb):
         low, high = float(law.friction.min()), float(law.friction.max())

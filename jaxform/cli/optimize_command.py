@@ -122,7 +122,7 @@ def _remove_journals(folder: Path) -> None:
 
 
 def _interruption_words(folder: Path) -> str:
-    """What to do after an interruption before any search had a design, in words."""
+    """The remedy after an interruption before any search had a design, in words."""
     count = 0
     for path in folder.glob("search*.jsonl"):
         with contextlib.suppress(OSError):
@@ -191,7 +191,7 @@ def _changes_sheet(changes: dict[str, Any]) -> bool:
 
 
 def _compare_starts(design: Any, goal: float | None) -> str:
-    """How many starts lead to the goal, or, where none is set or reached, to the same objective, in words."""
+    """The number of starts that reach the goal or, where none is set or reached, the same objective; in words."""
     found = [row["objective"] for row in design.starts if row["objective"] != ""]
     if goal is not None and design.objective <= goal:
         there = sum(value <= goal for value in found)

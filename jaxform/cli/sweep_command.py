@@ -90,7 +90,7 @@ def sweep(arguments: argparse.Namespace) -> int:
 
 
 class _Task:
-    """What is computed for each design of a sweep.
+    """The computation that a sweep does for each design.
 
     Attributes:
         designs: The designs.
@@ -113,7 +113,7 @@ class _Task:
 
 
 def _task(arguments: argparse.Namespace) -> _Task:
-    """What is computed, from the arguments."""
+    """The computation that the arguments ask for."""
     from jaxform.sweeps import designs
     from jaxform.sweeps.evaluation import simulate_design
     from jaxform.sweeps.records import MEASURES

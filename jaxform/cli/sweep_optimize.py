@@ -1,4 +1,4 @@
-"""What a worker of `jaxform sweep --optimize` does for a design: a search, whose best design is the row."""
+"""The work of `jaxform sweep --optimize` for a design: a search, whose best design is the row."""
 
 from __future__ import annotations
 

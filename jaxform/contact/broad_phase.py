@@ -41,7 +41,7 @@ def initial_check() -> BroadPhaseCheck:
 
 
 def no_active_pairs(candidates: Candidates) -> tuple[DueBlocks, jax.Array]:
-    """What `find_active_pairs` returns for a step that tests nothing."""
+    """The return value of `find_active_pairs` for a step that tests nothing."""
     block, _ = all_blocks(candidates)
     return (block, jnp.int32(0)), jnp.asarray(False)
 

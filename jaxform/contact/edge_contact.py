@@ -139,7 +139,7 @@ def _oriented_normal(side: Vector, along: Vector, outward: Vector) -> tuple[Vect
 
 
 def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: _Corners) -> _Meetings:
-    """Where sides meet edges, pair by pair: from the ends' paths in a step, in the tool's frame."""
+    """The meetings of sides and edges, pair by pair, from the ends' paths in a step, in the tool's frame."""
     start, end, *thirds = corners
     edge = minus(end, start)
     along, there = _unit(edge)
@@ -425,7 +425,7 @@ def hold_sides(
 def _mobilities(
     held: HeldSides, active: jax.Array, compliance: jax.Array, immovable: jax.Array
 ) -> tuple[jax.Array, list[jax.Array]]:
-    """Which components of held points can be moved (3, room), and how far either end goes by a push there [1/kg].
+    """The components of held points that can be moved (3, room), and how far either end goes by a push there [1/kg].
 
     A side with one end in contact is no longer held where most of it hangs over the edge.
     """

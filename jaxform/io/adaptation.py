@@ -66,7 +66,7 @@ def adapt_sheet(
 
 
 def _key(document: SceneDocument, sheet: Sheet) -> str:
-    """What the mesh depends on, in a few characters: the scene but for its name and output, files, and precision."""
+    """A digest of what the mesh depends on: the scene without its name and output, its files, and the precision."""
     digest = hashlib.sha256(repr((jax.config.jax_enable_x64, len(sheet.positions))).encode())
     tables = {key: value for key, value in document.data.items() if key not in ("name", "description", "output")}
     digest.update(repr(tables).encode())

@@ -127,7 +127,7 @@ def _preform(body: Revolution, neck: float) -> Array:
 
 
 def _shoulder(body: Revolution, neck: float) -> float:
-    """Where the neck of this radius ends [m]: the bottle is wider from there on."""
+    """The height [m] at which a neck of this radius ends: the bottle is wider from there on."""
     side = body.profile[::-1]
     wide = int(np.argmax(side[:, 0] > _NECK * neck))
     (r, z), (s, t) = side[wide - 1], side[wide]

@@ -120,7 +120,7 @@ def read_msh(content: bytes, name: str) -> Faces:
 
 
 def _section_end(content: bytes, place: int, name: str) -> int:
-    """Where the text of a section ends that begins at a place in the content."""
+    """The end in the content of a section's text that begins at a place."""
     end = content.find(b"$End" + name.encode() if name not in ("NOD", "ELM") else b"$END" + name.encode(), place)
     if end < 0:
         raise InputError(f"is truncated: its section ${name} has no end", "export or copy it again")

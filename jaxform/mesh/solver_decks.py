@@ -108,7 +108,7 @@ def _split(line: str) -> tuple[str, dict[str, str]]:
 
 
 def _scopes(content: bytes) -> list[_Scope]:
-    """What is outside of parts, the assembly's own, and its instances; parts as they are without any instance."""
+    """The lines outside of parts, those of the assembly, and its instances; parts as they are without any instance."""
     top, assembly = _Scope(), _Scope()
     scope = top
     parts: dict[str, _Scope] = {}

@@ -1,4 +1,4 @@
-"""What is planned before a run: refinement's forest, estimated stretches, the number and length of windows."""
+"""Plans of a run: refinement's forest, estimated stretches, the number and length of windows."""
 
 from __future__ import annotations
 

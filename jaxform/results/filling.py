@@ -51,7 +51,7 @@ class Filling(NamedTuple):
 
 
 class _Opening:
-    """What a scene's sheet is to reach, whatever part it becomes.
+    """The surface that a scene's sheet is to reach, whatever part it becomes.
 
     Attributes:
         places: Places of the mold (n, 3) [m], as it starts, that are examined.
@@ -85,7 +85,7 @@ _openings: weakref.WeakKeyDictionary[SearchGrid, tuple[list[Any], tuple[Any, ...
 
 
 def _opening(scene: Scene, offset: Array) -> _Opening:
-    """What a scene's sheet is to reach; found once for runs one after the other that differ in other things."""
+    """The surface that a scene's sheet is to reach; found once for successive runs that differ in other things."""
     parison, tables, push = scene.parison, scene.tables, scene.strongest_push()
     assert tables.grid is not None
     same = [parison.positions, parison.triangles, parison.clamped, tables.initial_contact, scene.mold, scene.part]
@@ -131,7 +131,7 @@ def _has_part(result: Result, scene: Scene) -> bool:
 
 
 def _opening_and_part(result: Result, scene: Scene) -> tuple[_Opening, Array, NDArray[np.int64]]:
-    """What a scene's sheet is to reach; the part's nodes (n, 3) [m], beside the mold as it starts, and elements."""
+    """The surface that a sheet is to reach; the part's nodes (n, 3) [m], beside the mold as it starts, and elements."""
     offset = mold_offset(result, scene)
     triangles = np.asarray(result.triangles)[np.asarray(result.used)]
     return _opening(scene, offset), np.asarray(result.positions, float) - offset, triangles

@@ -332,14 +332,14 @@ def make_result(
 
 
 def _wall_of_mold(nodes: Nodes, scene: Scene) -> jax.Array:
-    """What the nodes touch of the mold (n_node,), as in `Nodes.wall`; 0 where they touch another tool."""
+    """The triangles of the mold that nodes touch (n_node,), as in `Nodes.wall`; 0 where they touch another tool."""
     if scene.mold is None:
         return jnp.zeros_like(nodes.wall)
     return nodes.wall if nodes.tool is None else jnp.where(nodes.tool == 0, nodes.wall, 0)
 
 
 def _wall_of_tools(nodes: Nodes, scene: Scene) -> jax.Array | None:
-    """What the nodes touch of the tools besides the mold (n_node,), as in `Nodes.wall`; None where there are none."""
+    """Triangles of other tools that nodes touch (n_node,), as in `Nodes.wall`; None where there are no other tools."""
     if not scene.tools:
         return None
     return nodes.wall if scene.mold is None or nodes.tool is None else jnp.where(nodes.tool == 0, 0, nodes.wall)

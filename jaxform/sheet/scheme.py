@@ -122,7 +122,7 @@ def present_kinetic_energy(state: State, scene: Scene, discrete: Discretization)
 
 
 def exchanged_energy(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
-    """What the modes of an undamped sheet gain as they exchange energy [J], differentiable; 0 where a sheet is damped.
+    """The energy that modes of an undamped sheet gain as they exchange it [J], differentiable; 0 if a sheet is damped.
 
     The scheme keeps the energy of a Hamiltonian that differs from the sheet's by the square of the step h: with
     velocities v, accelerations a and the tangent K, the kinetic energy of `present_kinetic_energy` and

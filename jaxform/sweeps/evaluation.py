@@ -1,4 +1,4 @@
-"""What a worker does for a design: its scene is built, simulated and measured, and its files are packed.
+"""The work for a design: its scene is built, simulated and measured, and its files are packed.
 
 A worker need not see the folder of the results: the files come back with the numbers, and whoever started the sweep
 writes both.
@@ -43,7 +43,7 @@ _MISS = "/jax/compilation_cache/cache_misses"
 
 @dataclass(frozen=True)
 class Setting:
-    """How workers compute.
+    """Settings of workers.
 
     Attributes:
         dtype: Precision, "float64" or "float32".
@@ -57,7 +57,7 @@ class Setting:
 
 
 def worker_setting(shared: bool = True) -> Setting:
-    """How workers compute as this process does; with its cache, or each with that of its own machine."""
+    """The settings by which workers compute as this process does; with its cache, or each with that of its machine."""
     folder = disk.user_cache_folder() if shared else None
     precision = "float64" if jax.config.read("jax_enable_x64") else "float32"
     return Setting(precision, None if folder is None else str(folder), this_process())
@@ -112,7 +112,7 @@ _LEFT_OUT = {"parison": ("thickness", "temperature", "radius", "size"), "refinem
 
 
 def _kind(document: SceneDocument) -> str:
-    """What the small programs depend on that a scene of a document is built and measured with."""
+    """The kind of a document's scene, on which the small programs that build and measure it depend."""
     data = document.data
     tables = {
         name: {key: value for key, value in data.get(name, {}).items() if key not in left}
@@ -219,7 +219,7 @@ def pack_scene(scene: Scene) -> Scene | bytes:
 
 
 def call_function(task: tuple[Callable[[Scene], Any], Scene | SceneDocument | bytes, Setting]) -> Any:
-    """What a function of a user's own gives for a scene, which is built here where it comes as a document."""
+    """The value of a user's function of a scene, which is built here where it comes as a document."""
     function, given, setting = task
     worker = store, _ = set_up(setting)
     if isinstance(given, bytes):

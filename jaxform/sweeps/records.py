@@ -72,7 +72,7 @@ class Records:
         self._write(self.rows.values())
 
     def measures(self, digest: str) -> Row:
-        """What was computed for a recorded design, by column."""
+        """The values of a recorded design, by column."""
         return {name: text for name, text in self.rows[digest].items() if name not in self._given}
 
     def keep_only(self, heads: Mapping[str, Mapping[str, Any]]) -> None:

@@ -304,7 +304,7 @@ def _draw_matrix(path: Path, variables: Sequence[Axis], responses: Sequence[Axis
 
 
 def _draw_distribution(axes: Any, column: Axis, values: Array) -> None:
-    """How many designs have which value."""
+    """Draws a histogram of the designs' values."""
     count = min(12, max(4, len(values) // 4))
     edges: Any = np.linspace(values.min(), values.max(), count + 1)
     if column.names:

@@ -122,7 +122,7 @@ def _designs(given: Sequence[Any], scene: str | Path | None, about: str) -> list
 
 
 def _sent(design: DesignRow, given: Any) -> Any:
-    """What is sent to a worker for a design: its document, or the scene that was given."""
+    """The message to a worker for a design: its document, or the scene that was given."""
     return pack_scene(given) if design.document is None else design.document
 
 

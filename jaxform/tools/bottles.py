@@ -299,7 +299,7 @@ class _MirrorPlanes:
         return np.cos(angle) * self._first + np.sin(angle) * self._other
 
     def error(self, angle: float) -> float:
-        """How far the bottle is from its image in the plane [m], root mean square."""
+        """The distance of the bottle from its image in the plane [m], root mean square."""
         way = self.normal(angle)
         image = self._picked - 2.0 * np.outer((self._picked - self._rim) @ way, way)
         return float(np.sqrt(np.mean(np.square(self._surface.nearest(image).distance))))

@@ -31,7 +31,7 @@ class ContactLaw:
 
     @property
     def needs_temperature(self) -> bool:
-        """Whether the law depends on the temperature of the sheet."""
+        """True if the law depends on the temperature of the sheet."""
         return False
 
     def at(self, temperature: jax.Array | None) -> ContactLaw:
@@ -86,7 +86,7 @@ class Coulomb(ContactLaw):
 
     @property
     def needs_temperature(self) -> bool:
-        """Whether friction depends on the temperature of the sheet."""
+        """True if friction depends on the temperature of the sheet."""
         return self.temperature is not None
 
     def at(self, temperature: jax.Array | None) -> Coulomb:
