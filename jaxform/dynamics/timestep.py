@@ -61,9 +61,10 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
     """
     state, scene, active = jax.lax.stop_gradient((state, scene, active))
     longest, limit, room = _limit(state, scene, active)
-    longest = scene.solver.safety * longest / _gain_factor(state, scene, active)
-    damped = _damped_share(longest, scene)
-    longest = (UNDAMPED + (1.0 - UNDAMPED) * damped) * longest
+    longest = scene.solver.safety * longest
+    damped = damped_share(longest, scene)
+    shorter = UNDAMPED / _gain_factor(state, scene, active)
+    longest = (shorter + (1.0 - shorter) * damped) * longest
     end = scene.solver.end_time
     for mold, grid, _ in scene.surfaces:
         # No node passes more of the range of its list in one step than can be watched.
@@ -100,7 +101,7 @@ def _gain_factor(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Arr
     return jnp.clip(share / _GAIN, 1.0, _MOST_SHORTENING)
 
 
-def _damped_share(length: jax.Array, scene: Scene) -> jax.Array:
+def damped_share(length: jax.Array, scene: Scene) -> jax.Array:
     """From 0, where damping takes too little in a step [s] to keep fast modes from gaining energy, to 1."""
     damping = scene.solver.damping
     if damping is None:

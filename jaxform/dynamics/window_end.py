@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from jaxform.contact.sliding import split_by_tool
 from jaxform.dynamics.contact_step import FAR
+from jaxform.dynamics.timestep import damped_share
 from jaxform.dynamics.window_state import ContactSearch, WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once, over_blocks
 from jaxform.mechanics import membrane
@@ -31,7 +32,7 @@ _FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows 
 _STEADY = 0.05  # of the bound on the step: where it changes by more in a window, they become shorter
 _QUIET = 1e-2  # of the largest work: where a window misses more energy, they become shorter
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then retried at most so often
-_GAIN_TOLERANCE = 0.005  # the same where energy is gained, which nothing takes away
+_GAIN_TOLERANCE = 0.005  # the same of energy that is gained where damping does not take it away
 
 
 def end_window(
@@ -70,7 +71,8 @@ def end_window(
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
     jump = jnp.abs(imbalance - state.account.imbalance) - rounding
     gained = imbalance - jnp.maximum(state.account.imbalance, 0.0) - rounding
-    unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) | (gained > _GAIN_TOLERANCE * new.account.peak_work)
+    gains = (gained > _GAIN_TOLERANCE * new.account.peak_work) & (damped_share(now.length, scene) < 1.0)
+    unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) | gains
     unsure &= state.control.retries < _RETRIES_FOR_ENERGY
     # What blew up, and what may have missed the mold since a node flew out of its sphere or faster than it looked, is
     # retried with half the step: the sheet may have stiffened within the window.

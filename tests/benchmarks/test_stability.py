@@ -19,8 +19,10 @@ from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.state import Status
 from tests import scenes
 
-# Of the family "free sphere", which shares one program. 7 and 31 overflowed within a window: they stiffen in it.
+# Of the family "free sphere", which shares one program. 7 and 31 overflowed within a window: they stiffen in it. With
+# the short steps of undamped sheets 7 does no more.
 ONCE_BROKEN = (7, 31)
+RETRIED = 31
 OTHERS = (19, 43, 55, 67, 79, 91, 103, 115, 127, 139)
 
 
@@ -29,7 +31,7 @@ def test_what_once_overflowed_within_a_window_is_taken_with_smaller_steps(seed: 
     row = stress.one(seed)
     assert row["family"] == "free sphere"
     assert stress.classify(row) == "ok"
-    assert row["shortened"] > 0
+    assert (row["shortened"] > 0) == (seed == RETRIED)
 
 
 @pytest.mark.parametrize("seed", OTHERS)
@@ -60,7 +62,7 @@ def test_what_no_work_leaves_unbalanced_counts_as_wrong_unless_it_is_rounding_an
 
 def test_a_run_in_windows_and_one_in_hundreds_are_the_same() -> None:
     """The stress run's own loop is that of `run`, windows rejected included."""
-    drawn = random_scenes.draw(ONCE_BROKEN[0])
+    drawn = random_scenes.draw(RETRIED)
     _, ours = stress.run_drawn(drawn)
     room = pad_to_bucket(drawn.scene, recorded=True)
     state, first, taken = host.begin(room.scene)
@@ -82,7 +84,7 @@ def _short(scene: jaxform.Scene) -> jaxform.Scene:
 
 def test_the_gradient_goes_past_windows_that_were_tried_in_vain() -> None:
     """Overflowed numbers meet no derivative; the decisions are the same for sheets so little apart."""
-    scene = _short(random_scenes.draw(ONCE_BROKEN[0]).scene)
+    scene = _short(random_scenes.draw(RETRIED).scene)
 
     def wall(thickness: jax.Array) -> tuple[jax.Array, jaxform.Result]:
         result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}))
@@ -115,9 +117,10 @@ def test_a_sheet_that_hangs_over_a_mold_too_small_for_it_is_warned_of() -> None:
 
 
 def test_a_run_that_reaches_its_end_with_energy_missing_says_so() -> None:
-    """Random seed 127: two in a hundred of the work are missing after a sudden pressure, nothing damped."""
+    """Random seed 127 with steps too long: a hundredth of the work is missing after a sudden pressure, undamped."""
     drawn = random_scenes.draw(127)
-    state, result = stress.run_drawn(drawn)
+    scene = dataclasses.replace(drawn.scene, solver=dataclasses.replace(drawn.scene.solver, safety=1.6))
+    state, result = stress.run_drawn(dataclasses.replace(drawn, scene=scene))
     assert float(result.time) == pytest.approx(float(drawn.scene.solver.end_time))
     assert abs(float(state.account.imbalance)) > 0.01 * float(state.account.peak_work)
     assert int(result.status) == Status.UNBALANCED

@@ -84,7 +84,7 @@ def test_weak_damping_shortens_the_step_and_strong_damping_does_not() -> None:
 
     def share(damping: float | None) -> float:
         solver = jaxform.make_solver(end_time=1.0, damping=damping)
-        return float(timestep._damped_share(length, dataclasses.replace(scene, solver=solver)))
+        return float(timestep.damped_share(length, dataclasses.replace(scene, solver=solver)))
 
     assert share(None) == share(0.0) == share(1e-3) == 0.0
     assert 0.0 < share(0.1) < 1.0

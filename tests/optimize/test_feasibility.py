@@ -235,6 +235,7 @@ class _Rounds:
 
     def __init__(self, study: optimize.Study, factor: float, costs: float) -> None:
         self.study, self.iteration, self.pause = study, 0, np.inf
+        self.most_iterations = study.iterations
         self.limits = jnp.zeros(1), jnp.asarray(1.0)
         self.multiplier: float | None = None
         self.best: Point | None = None

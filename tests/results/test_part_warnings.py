@@ -28,6 +28,7 @@ def _part(scene: Scene, rise: float, **changes: Any) -> Any:
         wall: np.ndarray
         stretches: np.ndarray
         element_thickness: np.ndarray
+        held_sides: None = None
         status: int = 0
 
     start, triangles = np.asarray(scene.parison.positions), np.asarray(scene.parison.triangles)
