@@ -13,19 +13,11 @@ from collections.abc import Callable
 import numpy as np
 
 from optimize.designs import Point, Study
-from optimize.search import Search
-from optimize.termination import GOAL, Ending, check_goal
+from optimize.search import Method, Search
+from optimize.termination import GOAL, STOPPED, Ending, check_goal
 
 _SHIFT = 0.16  # standard deviation of every number: 4 % of the way between its bounds
-_LOCAL = (
-    "gradient_tolerance",
-    "iterations",
-    "no-progress",
-    "no-step",
-    "tolerance",
-)  # ends that another search may mend
-
-Method = Callable[[Search, Study, Point], tuple[Point, Ending]]
+_LOCAL = ("gradient_tolerance", "iterations", "no-progress", "no-step", "tolerance")  # ends that a hop may mend
 
 
 def hop(
@@ -50,7 +42,7 @@ def hop(
         search.memory, search.most_iterations = None, search.iteration + study.iterations
         point = evaluate(search.inside(search.best.free + shift))
         if search.stopped:
-            return Ending("caller", "stopped by the caller")
+            return STOPPED
         if np.isfinite(point.value):
             ending = method(search, study, point)[1]
     if search.best is not None and check_goal(study, search.best) is not None and ending.by in _LOCAL:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import jax.numpy as jnp
 import numpy as np
 
 from optimize.designs import KEPT, Point, Study
-from optimize.search import Search
+from optimize.search import Method, Search
 from optimize.termination import NO_STEP, Ending
 from optimize.variables import SheetVariable
 
@@ -19,10 +17,8 @@ _LARGER_PENALTY = 4.0
 _ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
 _NO_PROGRESS = 0.9  # of the violation before: a limit that can be kept is nearer after a round than that
 
-Round = Callable[[Search, Study, Point], tuple[Point, Ending]]
 
-
-def rounds(search: Search, study: Study, point: Point, method: Round) -> Ending:
+def rounds(search: Search, study: Study, point: Point, method: Method) -> Ending:
     """Searches by a method until limits are kept and nothing is gained; why it ended."""
     before, idle, hopeless = np.inf, 0, 0
     ending = NO_STEP

@@ -28,6 +28,9 @@ from optimize.termination import Ending, SpentError, budget_ending
 from optimize.variables import Variable
 from optimize.wall_statistics import formed_part, nodal_area, wall
 
+Method = Callable[["Search", Study, Point], tuple[Point, Ending]]
+"""A method of searching: from a point on, to the last point and why it ended."""
+
 Evaluators = Callable[[Study, list[np.ndarray], Any], list[Answer | None]]
 _REFRESH = 5  # iterations with the same decisions about the mesh
 _FIRST_PENALTY = 300.0

@@ -23,7 +23,7 @@ from optimize.journal import Journal
 from optimize.least_squares import least_squares
 from optimize.penalty_rounds import fall_back, rounds
 from optimize.price import price
-from optimize.search import Evaluators, Search
+from optimize.search import Evaluators, Method, Search
 from optimize.termination import STOPPED, Ending, SpentError, check_goal
 from optimize.variables import SheetVariable
 from optimize.wall_statistics import formed_part
@@ -31,7 +31,6 @@ from optimize.wall_statistics import formed_part
 __all__ = ["COLUMNS", "LIMIT_COLUMNS", "METHODS", "Design", "Search", "Study", "solve_once"]
 
 Row = dict[str, Any]
-Method = Callable[[Search, Study, Point], tuple[Point, Ending]]
 
 METHODS: dict[str, Method] = {
     "lbfgs": lbfgs,
