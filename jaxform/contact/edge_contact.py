@@ -37,6 +37,7 @@ from jaxform.kernels.blocks import (
     put,
     slice_at,
 )
+from jaxform.mechanics.corners import scale
 from jaxform.mechanics.elements import Nodes
 from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, vector
 from jaxform.tools.mold import Mold, ToolFrame
@@ -115,27 +116,23 @@ def edge_corners(mold: Mold, edges: jax.Array, number: jax.Array) -> _Corners:
     return begin, end, one, other
 
 
-def _scale(factor: Any, a: Vector) -> Vector:
-    return vector(factor * x for x in a)
-
-
 def _across(way: Vector, along: Vector) -> Vector:
     """Unit vectors (n,) of ways, without what they have along unit vectors."""
-    rest = minus(way, _scale(dot(way, along), along))
+    rest = minus(way, scale(dot(way, along), along))
     square = dot(rest, rest)
-    return _scale(1.0 / jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), rest)
+    return scale(1.0 / jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), rest)
 
 
 def _unit(a: Vector) -> tuple[Vector, jax.Array]:
     square = dot(a, a)
     there = square > 0.0
-    return _scale(jnp.where(there, 1.0, 0.0) / jnp.sqrt(jnp.where(there, square, 1.0)), a), there
+    return scale(jnp.where(there, 1.0, 0.0) / jnp.sqrt(jnp.where(there, square, 1.0)), a), there
 
 
 def _oriented_normal(side: Vector, along: Vector, outward: Vector) -> tuple[Vector, jax.Array]:
     """The common unit normals (n,) of sides and edges, on the edges' outer side; and whether there is one."""
     normal, there = _unit(cross(side, along))
-    return _scale(jnp.where(dot(normal, outward) < 0.0, -1.0, 1.0), normal), there
+    return scale(jnp.where(dot(normal, outward) < 0.0, -1.0, 1.0), normal), there
 
 
 def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: _Corners) -> _Meetings:
@@ -144,24 +141,24 @@ def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: 
     edge = minus(end, start)
     along, there = _unit(edge)
     ways = [_across(minus(third, start), along) for third in thirds]
-    outward = _scale(-1.0, plus(*ways))
+    outward = scale(-1.0, plus(*ways))
     normal0, turns0 = _oriented_normal(minus(before[1], before[0]), along, outward)
     normal1, turns1 = _oriented_normal(minus(after[1], after[0]), along, outward)
     gap0, gap1 = dot(minus(before[0], start), normal0), dot(minus(after[0], start), normal1)
     passes = there & turns0 & turns1 & (gap0 >= 0.0) & (gap1 < 0.0)
     beta = jnp.where(passes, gap0 / jnp.where(passes, gap0 - gap1, 1.0), 0.0)
-    first, second = (plus(_scale(1.0 - beta, a), _scale(beta, b)) for a, b in zip(before, after, strict=True))
+    first, second = (plus(scale(1.0 - beta, a), scale(beta, b)) for a, b in zip(before, after, strict=True))
     side, away = minus(second, first), minus(first, start)
     a, b, c = dot(side, side), dot(side, edge), dot(edge, edge)
     d, e = dot(side, away), dot(edge, away)
-    scale = a * c - b * b
-    passes &= scale > 0.0
-    scale = jnp.where(passes, scale, 1.0)
-    share, far = (b * e - c * d) / scale, (a * e - b * d) / scale
+    area = a * c - b * b
+    passes &= area > 0.0
+    area = jnp.where(passes, area, 1.0)
+    share, far = (b * e - c * d) / area, (a * e - b * d) / area
     passes &= (share > 0.0) & (share < 1.0) & (far >= 0.0) & (far <= 1.0)
     # A line that touches the edge from outside has its normal between those of both faces.
     passes &= (dot(normal1, ways[0]) <= _CONE) & (dot(normal1, ways[1]) <= _CONE)
-    return passes, share, plus(start, _scale(far, edge))
+    return passes, share, plus(start, scale(far, edge))
 
 
 # Search for sides that meet edges, while a list of candidates is valid; not differentiable.
@@ -399,15 +396,15 @@ def hold_sides(
     weights, scatter = (1.0 - held.share, held.share), differentiable or not on_cpu()
     active = (held.step < number) & (length > 0.0)
     free, moves = _mobilities(held, active, compliance, immovable)
-    scale = sum(w * move for w, move in zip(weights, moves, strict=True))
+    mobility = sum(w * move for w, move in zip(weights, moves, strict=True))
 
     def displace(push: jax.Array) -> jax.Array:
         """Displacements (3, room) of the held points by such pushes at all of them."""
         nodes = _add_at_ends(jnp.zeros_like(compliance), [move * push for move in moves], held, scatter)
-        return jnp.where(free, values_at_points(nodes, held) + _SOFTNESS * scale * push, push)
+        return jnp.where(free, values_at_points(nodes, held) + _SOFTNESS * mobility * push, push)
 
     gap = jnp.where(free, held.point + carrier[0] - values_at_points(positions, held), 0.0)
-    inverse = jax.lax.stop_gradient(jnp.where(free, 1.0 / jnp.where(free, scale, 1.0), 1.0))
+    inverse = jax.lax.stop_gradient(jnp.where(free, 1.0 / jnp.where(free, mobility, 1.0), 1.0))
     solve = functools.partial(_conjugate_gradients, inverse=inverse)
     push = jax.lax.custom_linear_solve(displace, gap, solve, symmetric=True) if scatter else solve(displace, gap)
     impulse, speed = push / jnp.where(length > 0.0, length, 1.0), carrier[1]

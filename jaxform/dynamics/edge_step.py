@@ -16,7 +16,7 @@ from jaxform.dynamics.window_state import WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once
 from jaxform.model.scene import Scene
 from jaxform.sheet.scheme import add_by_tool
-from jaxform.tools.mold import ToolFrame
+from jaxform.tools.mold import ToolFrame, tool_offset, tool_velocity
 
 Frames = tuple[ToolFrame | None, ...]
 
@@ -63,7 +63,8 @@ def hold_sides_at_edges(
     kick, length = steps
     held, nodes, differentiable = moved.held, moved.nodes, moved.room is None
     assert held is not None
-    carrier = _carrier(held.edge, scene, frames, held.point)
+    tools = _tools_of_edges(held.edge, scene)
+    carrier = _carrier(tools, frames, held.point)
     before = edge_contact.values_at_points(moving.nodes.velocities, held)
     immovable = nodes.stuck | lying_nodes(nodes.stuck, nodes.wall) if scene.slides else nodes.stuck
     zero = jnp.zeros((), nodes.velocities.dtype)
@@ -89,7 +90,7 @@ def hold_sides_at_edges(
     if damping is not None:
         account = dataclasses.replace(account, damping_loss=account.damping_loss + damping * kick * found.damped)
     if account.tool_work is not None:
-        by_tool = add_by_tool(account.by_tool, scene, _tools_of_edges(held.edge, scene), found.work)
+        by_tool = add_by_tool(account.by_tool, scene, tools, found.work)
         account = dataclasses.replace(account, tool_work=account.tool_work + jnp.sum(found.work), by_tool=by_tool)
     nodes = dataclasses.replace(nodes, positions=found.positions, velocities=found.velocities)
     return dataclasses.replace(moved, nodes=nodes, account=account)
@@ -103,16 +104,10 @@ def _tools_of_edges(edge: jax.Array, scene: Scene) -> jax.Array:
     return tool
 
 
-def _carrier(edge: jax.Array, scene: Scene, frames: Frames, like: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Displacement at the step's end [m] and velocity [m/s] of the tool of each edge (3, room)."""
-    offset = speed = jnp.zeros_like(like)
-    firsts = first_edges(scene)
-    for number, frame in enumerate(frames):
-        if frame is not None:
-            own = (edge >= firsts[number]) & (edge < firsts[number + 1])
-            offset = jnp.where(own, frame.offset[:, None], offset)
-            speed = jnp.where(own, frame.velocity[:, None], speed)
-    return offset, speed
+def _carrier(tool: jax.Array, frames: Frames, like: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Displacement at the step's end [m] and velocity [m/s] of the tools of edges (3, room)."""
+    offset, speed, still = tool_offset(frames, tool), tool_velocity(frames, tool), jnp.zeros_like(like)
+    return (still, still) if offset is None else (jnp.stack(offset), jnp.stack(speed))
 
 
 def _paths(moved: WindowState, landed: WindowState, length: jax.Array, frame: ToolFrame | None) -> SidePaths:

@@ -27,7 +27,7 @@ from jaxform.sheet.energy_balance import (
     strain_energy,
 )
 from jaxform.sheet.heat import ThermalState, temperature_change, tool_contact
-from jaxform.sheet.scheme import exchanged_energy, present_kinetic_energy
+from jaxform.sheet.scheme import kinetic_energies
 from jaxform.sheet.state import LOSS, Schedule, State, Taken, is_at_rest
 
 # The energy balance of a run, and its checks.
@@ -352,10 +352,10 @@ def _touched_tool(nodes: Nodes) -> jax.Array:
 
 def _kinetic_energy(state: State, scene: Scene, now: Discretization) -> jax.Array:
     """Kinetic energy [J] at the last window's end, as the energy balance has it, with its derivative."""
-    found = present_kinetic_energy(state, scene, now)
+    found, exchanged = kinetic_energies(state, scene, now)
     # The same to rounding, but of a sheet that was refined or retried since: the value is the balance's.
     value = kinetic_energy(state, now.mass) - state.account.kinetic_excess
-    return jax.lax.stop_gradient(value - found) + found + exchanged_energy(state, scene, now)
+    return jax.lax.stop_gradient(value - found) + found + exchanged
 
 
 def _or_zero(term: jax.Array | None) -> jax.Array:

@@ -113,36 +113,22 @@ def _present_force(packed: PackedState, scene: Scene, active: ActiveSet, pressur
     return add_gravity(force(load, active.packed.elements)[0], active.mass, scene.solver.gravity)
 
 
-def present_kinetic_energy(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
-    """Kinetic energy [J] at the time of the positions, differentiable.
-
-    It is that of the product of the velocities half a step before and half a step after, which a linear mode keeps.
-    """
-    return _kinetic_energies(state, scene, discrete)[0]
-
-
-def exchanged_energy(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
-    """The energy that modes of an undamped sheet gain as they exchange it [J], differentiable; 0 if a sheet is damped.
-
-    The scheme keeps the energy of a Hamiltonian that differs from the sheet's by the square of the step h: with
-    velocities v, accelerations a and the tangent K, the kinetic energy of `present_kinetic_energy` and
-    h^2 / 12 (v K v + m a^2), and terms of the fourth order. For a single linear mode the second part is a constant
-    share of the first; a share that is larger for faster modes, so that the first alone falls as slow modes excite
-    fast ones (Engle, Skeel, Drees, Monitoring energy drift with shadow Hamiltonians, J. Comput. Phys. 206, 2005).
-    """
-    if not conserves_energy(scene):
-        return jnp.zeros_like(state.time)
-    return _kinetic_energies(state, scene, discrete)[1]
-
-
 def conserves_energy(scene: Scene) -> bool:
     """True where neither damping, viscous modes nor tools take energy out of the fast modes."""
     lossless = scene.solver.damping is None and scene.material.viscous is None
     return lossless and not scene.slides and not scene.moves
 
 
-def _kinetic_energies(state: State, scene: Scene, discrete: Discretization) -> tuple[jax.Array, jax.Array]:
-    """`present_kinetic_energy`, and `exchanged_energy` as if the scene conserved energy."""
+def kinetic_energies(state: State, scene: Scene, discrete: Discretization) -> tuple[jax.Array, jax.Array]:
+    """Kinetic energy [J] at the time of the positions, and what modes gain as they exchange it; both differentiable.
+
+    The first is that of the product of the velocities half a step before and half a step after, which a linear mode
+    keeps. The second is that of an undamped sheet, 0 if a sheet is damped. The scheme keeps the energy of a Hamiltonian
+    that differs from the sheet's by the square of the step h: with velocities v, accelerations a and the tangent K, the
+    first and h^2 / 12 (v K v + m a^2), and terms of the fourth order. For a single linear mode the second part is a
+    constant share of the first; a share that is larger for faster modes, so that the first alone falls as slow modes
+    excite fast ones (Engle, Skeel, Drees, Monitoring energy drift with shadow Hamiltonians, J. Comput. Phys. 2005).
+    """
     active = active_set_of(state, scene, discrete, differentiable=True)
     packed, length = active.pack_state(state), state.control.step_length
     volume = enclosed_volume(state.nodes.positions, discrete.sheet) if scene.pressure.follows_volume else None
