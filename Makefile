@@ -1,10 +1,13 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad strangers fuzz killed docs quick waiting planted sweeps
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test test-all lint lock clean environment flanges cad strangers fuzz killed docs quick waiting planted sweeps
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
 export PYTHONDONTWRITEBYTECODE :=
+
+# Whole files go to two processes, in the order of tests/conftest.py.
+PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
@@ -14,7 +17,11 @@ demo: environment
 	@echo "final.vtu (for ParaView), best.toml (run it again with: .venv/bin/jaxform simulate out/demo/best.toml --out out/best)"
 
 test: lint
-	.venv/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	.venv/bin/python -m pytest -m "not long" $(PARALLEL)
+
+# Every test; those marked `long` hold by more or larger scenes what a shorter one holds, or what a user waits for as long.
+test-all: lint
+	.venv/bin/python -m pytest $(PARALLEL)
 
 # The site, in out/docs; a warning is an error. No network is used.
 docs: environment

@@ -281,6 +281,7 @@ def replay_of(scene: Scene, live: Result) -> Result:
     return replayed(scenes.real(0.0), scene.parison.thickness, scene, live.schedule)[1]
 
 
+@pytest.mark.long
 def test_a_replay_is_the_run_that_was_recorded(scene: Scene, live: Result) -> None:
     again = replay_of(scene, live)
     for name in ("used", "steps", "stuck"):

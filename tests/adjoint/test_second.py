@@ -93,6 +93,7 @@ def test_hessian_equals_central_differences_of_the_gradient_through_contact() ->
     np.testing.assert_allclose(hessian, hessian.T, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 def test_forward_and_reverse_mode_over_forward_mode_equal_central_differences() -> None:
     figure = _figure(_bound_steps(scenes.free_disc(24, 1.0, scenes.mooney(0.1), end_time=8.0)))
 
@@ -134,6 +135,7 @@ def _columns() -> np.ndarray:
     return np.stack([along(way) for way in jnp.eye(2)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("adjoint", [jaxform.Reversed(), jaxform.Checkpointed()])
 def test_a_simulation_is_linearized_as_least_squares_of_others_do_it(adjoint: jaxform.Adjoint) -> None:
     """Gauss and Newton's step: the linear function mapped over a basis, and transposed, inside of a jit.

@@ -29,6 +29,7 @@ def test_every_formulation_and_peer_steps_alike() -> None:
     np.testing.assert_allclose(single, expected, rtol=0, atol=1e-5)
 
 
+@pytest.mark.long
 def test_the_tables_fill_and_the_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "_WORK", 2000)
     found = {"bare": bench.show_bare((50, 128))}

@@ -81,6 +81,7 @@ def test_what_is_right_in_a_row() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["tray with holes in its walls", "cone buck"])
 def test_two_of_them_in_small(tmp_path: Path, name: str) -> None:
     row = files.try_file(name, tmp_path, coarse=5.0, fine=0.5)

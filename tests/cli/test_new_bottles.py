@@ -54,7 +54,7 @@ def _turn(mesh: Mesh) -> Mesh:
     return Mesh(mesh.positions @ TURN.T + [50.0, -60.0, 70.0], mesh.triangles, {})
 
 
-@pytest.mark.parametrize("kind", ["square", "oval"])
+@pytest.mark.parametrize("kind", ["oval", pytest.param("square", marks=pytest.mark.long)])
 def test_scene_of_a_bottle_that_is_not_round_is_right_the_first_time(tmp_path: Path, kind: str) -> None:
     mesh, folder = _turn(loft(SQUARE if kind == "square" else OVAL)), tmp_path / "new"
     meshes.write_stl(tmp_path / "bottle.stl", mesh.positions, mesh.triangles)
@@ -75,6 +75,7 @@ def test_scene_of_a_bottle_that_is_not_round_is_right_the_first_time(tmp_path: P
     assert 0.35e-3 < summary["thickness"]["mean"] < 0.55e-3
 
 
+@pytest.mark.long
 def test_of_a_bottle_no_more_is_modelled_than_its_symmetry_asks() -> None:
     square = loft(SQUARE)
     quarter = bottles.find_body(_turn(square))

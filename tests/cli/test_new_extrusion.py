@@ -81,7 +81,7 @@ def _new(folder: Path, bottle: Mesh, *more: str) -> int:
     return main(["new", str(folder / "new"), "--mold", mold, "--process", "extrusion-blow", "--quiet", *more])
 
 
-@pytest.mark.parametrize("kind", ["round", "half", "handle"])
+@pytest.mark.parametrize("kind", ["round", "half", pytest.param("handle", marks=pytest.mark.long)])
 def test_scene_runs_the_first_time(tmp_path: Path, kind: str) -> None:
     assert _new(tmp_path, _bottle(kind)) == 0
     scene = jaxform.load(tmp_path / "new" / "scene.toml")  # warnings are errors here

@@ -147,7 +147,7 @@ def _thin_side(result: jaxform.Result) -> jax.Array:
     return jnp.sum(own * result.element_thickness) / jnp.sum(own)
 
 
-@pytest.mark.parametrize("build", [blown, pushed])
+@pytest.mark.parametrize("build", [blown, pytest.param(pushed, marks=pytest.mark.long)])
 def test_gradients_through_edge_contact(build: Callable[[int], jaxform.Scene]) -> None:
     scene = build(8)
     schedule = jaxform.run(scene).schedule

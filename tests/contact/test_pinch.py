@@ -93,6 +93,7 @@ def test_nodes_in_the_symmetry_plane_stay_there_and_others_weld_to_it() -> None:
     assert welded.sum() > 10 and not np.any(welded & fixed)
 
 
+@pytest.mark.long
 def test_derivatives_go_through_the_pinch() -> None:
     scene = _half()
 

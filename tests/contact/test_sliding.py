@@ -443,6 +443,7 @@ def test_disc_pushed_by_a_flat_plug_to_which_it_sticks() -> None:
     np.testing.assert_allclose(warm[distance > 0.4], 140.0)
 
 
+@pytest.mark.long
 def test_gradient_through_stick_slip_and_release_is_that_of_differences() -> None:
     scene = _pushed(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=100, pressure=2.0)
     way, time = (np.asarray(getattr(scene.tools[0].motion, name)) for name in ("displacement", "time"))
@@ -499,6 +500,7 @@ def test_no_node_passes_a_tool_that_moves(seed: int) -> None:
     assert tools.deepest(scene, result) < 1e-12
 
 
+@pytest.mark.long
 def test_a_refined_sheet_slides_on_a_plug() -> None:
     # New nodes between those that the plug touched at the start lie on it only where they are on it now.
     refinement = jaxform.make_refinement(angle=6.0, max_level=2, interval=64, elements=800)
@@ -541,6 +543,7 @@ def test_friction_over_temperature_is_linear_between_knots_and_held_beyond() -> 
     np.testing.assert_allclose(np.diag(slope), [0.0, -0.015, 0.02, 0.0], atol=1e-15)
 
 
+@pytest.mark.long
 def test_a_strip_is_as_slippery_as_it_is_warm() -> None:
     """At temperatures between the knots; and cooled by the cylinder, of which every node keeps its own."""
     friction, turn = 0.3, np.radians(90)
@@ -565,6 +568,7 @@ def test_a_strip_is_as_slippery_as_it_is_warm() -> None:
     ).max()  # fmt: skip
 
 
+@pytest.mark.long
 def test_gradient_by_friction_over_temperature_is_that_of_differences() -> None:
     cooling = jaxform.Cooling(as_real(100.0), mold=as_real(7.0))
     plug = _plug(_table((60.0, 140.0), (0.1, 0.4)), 0.6, temperature=40.0, heat_transfer=0.05)

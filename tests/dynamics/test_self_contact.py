@@ -46,6 +46,7 @@ def _stuck_in_flight(result: jaxform.Result) -> np.ndarray:
     return np.asarray(result.stuck) & (np.asarray(result.contact_time) > 0.0)
 
 
+@pytest.mark.long
 def test_a_simulation_joins_the_same_nodes_as_a_run_and_its_gradient_is_that_of_differences() -> None:
     scene = _fold(True)
     run, pure = jaxform.run(scene), jaxform.simulate(scene)
@@ -87,6 +88,7 @@ def test_the_papers_box_folds_at_its_upper_corner_and_ends_without_a_warning() -
     assert 5 < (_stuck_in_flight(formed) & (np.asarray(formed.wall) == 0)).sum() < 40
 
 
+@pytest.mark.long
 def test_a_box_that_folds_to_webs_at_its_corners_does_not_burst(tmp_path: Path) -> None:
     trimesh.creation.box((100.0, 100.0, 40.0)).export(tmp_path / "box.stl")
     folder = tmp_path / "scene"

@@ -63,7 +63,13 @@ def _pushed_and_blown(law: jaxform.ContactLaw) -> jaxform.Scene:
     )
 
 
-@pytest.mark.parametrize("law", [jaxform.Stick(), jaxform.Coulomb(as_real(0.3))], ids=["sticks", "slides"])
+@pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param(jaxform.Stick(), id="sticks", marks=pytest.mark.long),
+        pytest.param(jaxform.Coulomb(as_real(0.3)), id="slides"),
+    ],
+)
 def test_what_sticks_to_a_tool_at_rest_is_packed_away_while_others_move_or_nodes_slide(law: jaxform.ContactLaw) -> None:
     scene = disable_skips(_pushed_and_blown(law), sharp_step=False)
     on, off = jaxform.run(scene), jaxform.run(disable_skips(scene, skip_stuck=False))
@@ -250,6 +256,7 @@ def test_the_first_step_is_not_cold() -> None:
     assert 0.85 < float(bound) / planning.first_step(plain) <= 1.0
 
 
+@pytest.mark.long
 def test_the_slope_of_a_batch_is_that_of_its_designs_whatever_is_stored() -> None:
     scene = disable_skips(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
 

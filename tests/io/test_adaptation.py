@@ -66,6 +66,7 @@ def _errors(scene: Scene) -> tuple[float, float]:
     return cases.rms(ratio / cases.exact_ratio(places, wall) - 1, area), cases.rms(nodal, cases.nodal_area(scene))
 
 
+@pytest.mark.long
 def test_the_command_writes_a_scene_that_is_more_accurate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     profile = '{ along = "radius", at = [0.0, 1.0], value = [0.01, 0.01] }'
     path = _write(tmp_path, thickness=profile)

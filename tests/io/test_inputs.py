@@ -333,6 +333,7 @@ print(float(values[0]).hex())
 """
 
 
+@pytest.mark.long
 def test_shard_map_shares_designs_out_with_their_gradients() -> None:
     """On two devices made of the processor, with JAX's defaults; a design out of range spoils no other gradient."""
     known = os.environ | {"PYTHONPATH": os.pathsep.join([str(_PROJECT.parent), os.environ.get("PYTHONPATH", "")])}

@@ -110,6 +110,7 @@ def test_rubber_sphere_passes_the_maximum_and_the_minimum_of_its_pressure() -> N
     np.testing.assert_allclose(exact[late].min() * unit, 235_552.871, rtol=1e-3)
 
 
+@pytest.mark.long
 def test_gradient_with_respect_to_the_mass_flow() -> None:
     scene = _sphere(end_time=20.0, elements=60)
     base = jaxform.run(scene)

@@ -96,6 +96,7 @@ def _formed(damping: float | None) -> jaxform.Scene:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("damping", [None, 1.0])
 def test_gradients_with_gravity_are_those_of_differences(damping: float | None) -> None:
     scene = _formed(damping)

@@ -137,6 +137,7 @@ def test_sphere_is_stopped_by_the_air_around_it(adiabatic: bool, power: float) -
     np.testing.assert_allclose(result.pressures[1][-1], 0.04 * (1.0 / stretch - stretch**-7), rtol=2e-2)
 
 
+@pytest.mark.long
 def test_gradients_of_gases_on_both_sides_are_those_of_differences() -> None:
     knots = [0.0, 1.0, 4.0, 5.0]
     air: dict[str, Any] = {"temperature": 1.0, "gas_constant": 1.0, "ambient_pressure": 0.05, "adiabatic": True}
@@ -186,6 +187,7 @@ def _form(load: str, folder: Path) -> dict[str, Any]:
     return json.loads((folder / "out" / "summary.json").read_text())
 
 
+@pytest.mark.long
 def test_air_in_the_mold_keeps_the_sheet_off_it_unless_it_is_vented(tmp_path: Path) -> None:
     sealed = _form(f"{_PRESSURE}[gas]\n{_AIR}vent_area = 0.0\n", tmp_path / "sealed")
     vented = _form(f"{_PRESSURE}[gas]\n{_AIR}vent_area = 2.0e-5\n", tmp_path / "vented")

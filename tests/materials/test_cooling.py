@@ -147,6 +147,7 @@ def _warmth(result: jaxform.Result) -> jax.Array:
     return result.temperature
 
 
+@pytest.mark.long
 def test_what_sticks_cools_and_relaxes_whether_it_is_stepped_on_or_not() -> None:
     skipped, stepped = (jaxform.run(_cup(skip)) for skip in (True, False))
     assert int(skipped.status) == int(stepped.status) == 0

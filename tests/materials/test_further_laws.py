@@ -231,6 +231,7 @@ def test_a_disc_of_rubber() -> None:
     assert float(burst.positions[pole, 2]) > 2.0  # at the limit it is 1.08
 
 
+@pytest.mark.long
 def test_a_sphere_is_blown_up_to_its_limit_and_a_shot_beyond_it_is_told() -> None:
     law = jaxform.Gent(real(2.0), real(6.0), real(1.0))
     scene = scenes.sphere(128, 40.0, law, [0.0, 20.0], end_time=30.0, damping=0.5)

@@ -167,6 +167,7 @@ def test_the_least_mass_keeps_its_minimum_and_names_its_price() -> None:
     np.testing.assert_allclose(design.multiplier, design.objective, rtol=0.1)
 
 
+@pytest.mark.long
 def test_a_die_gap_comes_near_the_wanted_thinnest_wall_in_four_simulations() -> None:
     # Published for another bottle: from 1.04 to 1.46 mm of 1.5 mm in four.
     study = optimize.load_study("bottle-die-gap")

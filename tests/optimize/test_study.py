@@ -134,6 +134,7 @@ def test_the_command_goes_on_after_a_kill(
     assert "another study" in capfd.readouterr().err
 
 
+@pytest.mark.long
 def test_starts_on_two_processes_are_those_of_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     solver = 'method = "fixed-point"\niterations = 1\nstarts = 3'
     path = _write(tmp_path, [FIELD + "smoothness = 0.05"], TARGET, solver)

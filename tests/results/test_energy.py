@@ -37,6 +37,7 @@ def test_every_loss_enters_the_balance(name: str) -> None:
     np.testing.assert_allclose(idle.balance_error, 1.0 / (total - 1.0), rtol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("over_mold", [False, True])
 def test_the_derivative_of_the_kinetic_energy_is_that_of_differences(over_mold: bool) -> None:
     scene = scenes.cup(60, 9.0) if over_mold else scenes.free_disc(60, 2.0, scenes.mooney(0.1), 0.3, end_time=7.0)

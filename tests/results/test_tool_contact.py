@@ -123,6 +123,7 @@ def _two_discs(chosen: tuple[int, ...], laws: tuple[Any, Any]) -> jaxform.Scene:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("frictions", [(0.2, 0.4), (None, 0.4)])
 def test_each_of_two_tools_that_move_and_rub_has_the_energies_that_it_has_alone(frictions: tuple) -> None:
     laws: Any = tuple(None if each is None else jaxform.Coulomb(as_real(each)) for each in frictions)
@@ -184,6 +185,7 @@ def test_a_warning_of_penetration_names_the_tool_and_its_remedy() -> None:
     assert of_mold.endswith("make the mold as wide as the sheet, or the elements smaller")
 
 
+@pytest.mark.long
 def test_sides_that_edges_of_two_tools_hold_count_for_the_tool_that_holds_them() -> None:
     """Two discs that slender pins push between their nodes; the sum is the work of both."""
     sheet = shapes.disc(radius=1.0, elements=24, symmetry="quarter")

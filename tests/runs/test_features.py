@@ -70,12 +70,14 @@ def _cooled() -> jaxform.Scene:
 
 
 def _plugged() -> jaxform.Scene:
-    """A sheet with Christensen's modes over a plug that rises into it."""
+    """A heavy sheet with Christensen's modes, which slides on a plug that rises into it."""
     shape = molds.revolved(profile=[[0.0, -0.02], [0.42, -0.02], [0.47, -0.6]], segments=48)
     motion = jaxform.make_motion([0.0, 0.0, 1.0], [0.0, 8.0], [0.0, 0.5])
     modes = jaxform.Christensen(jnp.asarray([1.0, 0.5]), jnp.asarray([2.0, 20.0]))
+    plain, slippery = scenes.cup(24, 12.0), jaxform.make_contact_law("coulomb", 0.2)
     return _cup(
-        mold=jaxform.make_mold(shape.vertices, shape.triangles, motion=motion),
+        mold=jaxform.make_mold(shape.vertices, shape.triangles, motion=motion, contact=slippery),
+        solver=dataclasses.replace(plain.solver, gravity=jnp.asarray([0.0, 0.0, -0.02])),
         material=jaxform.NeoHookean(real(1.0), real(1.0), viscous=modes),
         pressure=jaxform.make_pressure([0.0], [0.0]),
     )
@@ -109,11 +111,12 @@ COOLED += ["parison.temperature", "parison.thickness"]
 MODES = ["material.viscous.modulus", "material.viscous.time"]
 GAS = ["pressure.inflow_temperature", "pressure.capacity", "pressure.dead_volume", "pressure.inflow"]
 YEOH = ["material.c1", "material.c2", "material.c3", "material.density"]
+PLUG = ["mold.motion.displacement", "mold.motion.time", "mold.contact.friction"]
 MAKE: dict[str, tuple[Callable[[], jaxform.Scene], list[str]]] = {
     "plain": (_cup, [*PLAIN, "material.c", "material.alpha", "material.density"]),
     "refined": (_refined, [*PLAIN[:3], "material.mu", "material.alpha", "material.density"]),
     "cooled": (_cooled, [*COOLED, *MODES]),
-    "plugged": (_plugged, ["mold.motion.displacement", "mold.motion.time", "parison.thickness", "material.c", *MODES]),
+    "plugged": (_plugged, [*PLUG, "solver.gravity", "parison.thickness", "material.c", "material.density", *MODES]),
     "wrinkled": (_wrinkled, ["material.c", "parison.thickness", "pressure.value"]),
     "added": (_added, [*GAS, *YEOH, "fields.temperature.initial", "fields.temperature.mold_rate", PLAIN[0]]),
 }
@@ -121,6 +124,7 @@ MAKE: dict[str, tuple[Callable[[], jaxform.Scene], list[str]]] = {
 
 # Those that carry a derivative.
 ENERGIES = "strain", "external_work", "tool_work", "damping_loss", "contact_loss", "viscous_loss", "cooling_loss"
+ENERGIES += "gravity_work", "friction_loss"
 
 
 def _measure(result: jaxform.Result) -> jax.Array:
@@ -210,6 +214,7 @@ def test_every_feature_is_in_use(case: Case) -> None:
     assert scene.refinement is None or int(ran.used.sum()) > len(scene.parison.triangles)
     assert scene.cooling is None or float(jnp.ptp(jnp.asarray(ran.temperature))) > 5.0
     assert scene.motion is None or float(ran.energy.tool_work) > 1e-3
+    assert scene.solver.gravity is None or (ran.energy.friction_loss > 1e-5 and abs(ran.energy.gravity_work) > 1e-5)
     assert not scene.material.tension_field or summary.wrinkle_fraction(ran).max() > 0.1
 
 

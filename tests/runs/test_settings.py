@@ -97,6 +97,7 @@ def test_a_study_of_another_precision_is_refused_in_one_line() -> None:
         optimize.solve(study)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("make", [scenes.cup, _refined_scene, _own_parts])
 def test_strict_promotion_of_types_is_for_code_of_ones_own(make: Callable[[], jaxform.Scene]) -> None:
     """From the parts of a scene to the compiler's input, second derivatives included; nothing is compiled."""
@@ -154,6 +155,7 @@ with jax.default_device(second):
 """
 
 
+@pytest.mark.long
 def test_a_result_is_on_the_device_of_its_scene() -> None:
     known = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(_ROOT), os.environ.get("PYTHONPATH", "")]),
