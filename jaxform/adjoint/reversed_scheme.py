@@ -51,13 +51,23 @@ from jaxform.sheet.state import LOSSES, Schedule, State, differentiable_leaves
 class _WindowResiduals:
     """Residuals for the reverse derivative of a window.
 
-    Of its begin stuck, time [s], step [s], volume and rim [m^3], and mesh, as in `State`; of its end the positions
-    `end` (3, n_node) [m], wall and the steps in which nodes landed (n_node,), its step [s] and how many were taken.
-
     Attributes:
-        positions: Of nodes that landed, before that step (3, n_node) [m].
-        velocities: At the end (3, n_node) [m/s]; of nodes that landed, what they landed with. Where steps cannot be
-            taken back, both are those of all nodes at the begin.
+        scene: The scene.
+        first: Discretization at the run's begin.
+        stuck: Nodes that are stuck at the window's begin (n_node,).
+        time: Time at the window's begin [s].
+        before: Step length of the window before [s].
+        volume: Enclosed volume at the window's begin, as in `EnergyBalance` [m^3].
+        rim: Volume swept by moving rims, as in `EnergyBalance` [m^3]; None without moving rims.
+        mesh: Mesh of the window; None without refinement.
+        end: Positions at the window's end (3, n_node) [m].
+        wall: Contact triangles at the window's end (n_node,), as in `Nodes`.
+        landing_step: Step in which each node landed (n_node,); NEVER for the others.
+        length: Step length [s].
+        count: Steps taken.
+        positions: Positions of nodes that landed, before that step (3, n_node) [m].
+        velocities: Velocities at the end (3, n_node) [m/s]; of nodes that landed, those before the impact. Where
+            damping makes the steps irreversible, both are those of all nodes at the window's begin.
     """
 
     scene: Scene

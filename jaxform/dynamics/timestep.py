@@ -226,11 +226,13 @@ class _Lanczos(NamedTuple):
     """State of the Lanczos iteration.
 
     Attributes:
-        vector: The next one (3, place), and `size`, the norm by which it is to be divided.
-        last: The one before, a unit vector (3, place).
-        basis: All so far, unit vectors, one after the other (3, several places).
-        diagonal, beside: Of the small matrix.
-        new: Room (3, place), and `corners` for the elements' corners.
+        vector: Next Lanczos vector (3, place), not normalized.
+        size: Its norm.
+        last: Last Lanczos vector (3, place), of norm 1.
+        basis: All Lanczos vectors so far, one after the other (3, several places).
+        diagonal, beside: Diagonals of the tridiagonal matrix.
+        new: Workspace (3, place).
+        corners: Workspace for corner forces.
     """
 
     vector: jax.Array

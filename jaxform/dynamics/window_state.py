@@ -38,15 +38,23 @@ from jaxform.sheet.state import (
 class WindowState:
     """State that changes from step to step inside a window, in packed order.
 
-    The memory is what elements remember from one step to the next (4 n_mode, room), before the first step and at the
-    window's end the stress of their viscous modes; None where they have none. Positions (3, place) [m] are three rows
-    where no derivative is taken: else they would be taken apart in every step. `landing_step` is the step in which
-    a node landed, NEVER where it has not in this window, and the impact that of `sticking.Landing`, None where it is
-    not kept.
-    Whether another list of candidates is due, the last check of each surface, and the workspace for hits are None where
-    contact is not searched for; the room for corner forces is None where derivatives are taken. The record is that of
-    `sticking.Landing`. The facets that nodes lie on are kept where they may slide and no derivative is taken. The sides
-    that are held at edges of tools are None where none can be.
+    Attributes:
+        nodes: Nodal fields. Positions (3, place) [m] are three rows where no derivative is taken, one array elsewhere.
+        fields: The scene's user-defined fields, by name.
+        account: Energy account.
+        memory: History of the Prony terms (4 n_mode, room): their stress before the first step and at the window's
+            end. None without Prony terms.
+        landing_step: Step in which each node landed in this window (place,); NEVER for the others.
+        impact: Impact of nodes that landed, as in `sticking.Landing`; None where it is not recorded.
+        count: Steps taken.
+        halted: True after a failure, or when all steps are taken: the remaining steps change nothing.
+        stale: True where new lists of candidates are needed; None where contact is not searched for.
+        check: Last broad-phase check of each surface; None where contact is not searched for.
+        room: Workspace for corner forces; None where derivatives are taken.
+        hits: Workspace for first hits; None where contact is not searched for.
+        record: All landings, as in `sticking.Landing`; None where they are not recorded.
+        facets: Facets on which nodes lie; None where no node can slide, and where derivatives are taken.
+        held: Element sides held at edges of tools; None where none can be.
     """
 
     nodes: Nodes
@@ -77,16 +85,16 @@ class WindowData:
     """Constants of a window, in packed order.
 
     Attributes:
-        active: The elements and nodes that are active.
-        begin: Its begin [s].
-        length: The step [s].
-        bound: The elements' bound on it [s].
-        most: How many steps it takes, unless it is cut short.
-        row: Number of the row of a schedule that is followed, and the time that is left of it [s]; None where none is.
-        wary: Whether no look at the nodes is trusted, since the last window was not taken.
-        recursion: How viscous modes go over a step; None where there are none.
-        losing: Viscous modes by which losses are counted; None where there are none.
-        rim: Places of the ends of moving rims' edges (2, n_edge); None where there are none.
+        active: Active elements and nodes.
+        begin: Time at the window's begin [s].
+        length: Step length [s].
+        bound: Bound of the elements on the step length [s].
+        max_count: Number of steps, unless the window is halted earlier.
+        row: Row of the schedule that is followed, and the time left in that row [s]; None without a schedule.
+        always_check: True where every step searches contact: the last window was rejected.
+        recursion: Factors that advance the Prony terms by a step; None without Prony terms.
+        losing: Prony terms for the viscous loss; None without Prony terms.
+        rim: Places of the ends of moving rims' edges (2, n_edge); None without moving rims.
     """
 
     active: ActiveSet
@@ -104,9 +112,12 @@ class WindowData:
 class KnownContact(NamedTuple):
     """Known contact of a window whose steps are recomputed, in packed order.
 
-    The step in which each node landed (place,), NEVER where it did not, and on which triangle of all surfaces; and how
-    many steps were taken. Where nodes may land more than once, the record of all landings instead. The sides that are
-    held at the window's end, where any can be.
+    Attributes:
+        step: Step in which each node landed (place,); NEVER for the others.
+        chosen: Triangle on which it landed (place,), numbered over all surfaces.
+        count: Steps taken.
+        record: All landings, where nodes may land more than once; else None.
+        sides: Element sides held at edges of tools at the window's end; None where none can be.
     """
 
     step: jax.Array
@@ -119,12 +130,12 @@ class KnownContact(NamedTuple):
 ContactSearch = tuple[jax.Array, jax.Array, jax.Array]
 """Result of the contact search in a window.
 
-The most pairs of node and triangle that it listed at once; whether any exceeded the capacity; and whether a node may
-have missed the mold, out of its sphere or faster than it was checked.
+The largest number of listed pairs of node and triangle; True where a list exceeded the capacity; and True where a node
+may have missed the mold, because it left its sphere or became faster than the check assumed.
 """
 
 
-# The state in which a run begins: the sheet at rest, with what lies on the mold held there.
+# The initial state of a run: the sheet at rest, nodes on the mold in contact.
 
 
 def _first_memory(scene: Scene, mesh: RefinedMesh | None, heat: ThermalState | None) -> jax.Array | None:
@@ -137,7 +148,7 @@ def _first_memory(scene: Scene, mesh: RefinedMesh | None, heat: ThermalState | N
     if mesh is not None and adaptivity is not None:
         _, forest = adaptivity
         return modes.initial_stress(forest.sheet.inverse_metric[:, mesh.element])
-    # In the basis that elements are worked through in.
+    # In the basis in which forces are computed: pairs of elements have one of their own.
     return modes.initial_stress(scene.tables.sheet.inverse_metric if pairs is None else pairs.inverse_metric)
 
 
@@ -156,7 +167,7 @@ def initial_state(scene: Scene) -> State:
     stuck, contact_time, wall, tool = initial_node_state(scene)
     fields = {name: own.start(scene.parison.positions) for name, own in scene.fields.items()}
     if mesh is not None:
-        # Nodes that do not exist yet are held where the first node is.
+        # Nodes that are not inserted yet are fixed at the first node.
         there = jnp.arange(mesh.node.size) < mesh.node_count
         stuck, contact_time, wall, tool = initial_node_state(scene, mesh.node)
         stuck, contact_time = stuck | ~there, jnp.where(there, contact_time, 0.0)

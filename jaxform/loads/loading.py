@@ -97,7 +97,7 @@ class LoadState:
 
     Attributes:
         pressure: [Pa].
-        own: Its own state; None where it has none.
+        state: State of a loading with a history; None for the others.
     """
 
     pressure: jax.Array

@@ -34,7 +34,7 @@ class ViscousMemory:
     """History of the Prony terms of elements: mode k has the stress `history[k] + gain[k] M`, M its measure.
 
     Attributes:
-        rest: (4 n_mode, n), four rows a mode; in loops over blocks a list of them.
+        history: (4 n_mode, n), four rows a mode; in loops over blocks a list of them.
         gain: (n_mode,), or of each element (n_mode, n).
         kind: Name of the kind of modes.
         only_slope: Whether `history` is the stress itself, and the gain says only how it answers to a change.

@@ -23,7 +23,7 @@ class SectionCurve(NamedTuple):
         place: Points (n, 3) [m] in the formed part, in order.
         thickness: Thickness there (n,) [m].
         arc: Arc length (n,) [m] in the formed part.
-        own: Mask (n,) of the points in the part that was asked for; None for all.
+        in_part: Mask (n,) of the points in the part that was asked for; None for all.
         label: Name of the curve.
         marked: Arc length [m] at the place through which it was to run; None where there is none.
     """

@@ -81,7 +81,7 @@ class Padded(NamedTuple):
 
     Attributes:
         scene: It has the structure and shapes of all scenes of its kind and bucket sizes.
-        own: The original scene.
+        original: The scene without padding.
         order: Places of the original's nodes and triangles in the padded scene; None where they are the same.
     """
 

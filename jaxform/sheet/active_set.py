@@ -123,7 +123,7 @@ class ActiveSet:
         idle_energy: Its strain energy [J].
         memory: As in `State`, when it was packed; None without viscous modes.
         idle: Elements that are not active and have such modes; None where none are.
-        room: Kept from the last window; None where each window has its own.
+        workspace: Arrays reused from window to window; None where each window allocates its own.
         heat: How far all elements had cooled when they were packed, as in `State`; None where they do not.
         initial: Of its elements the initial temperature (room,) [degC], and the zones without time-temperature shift;
             None where they do not cool.

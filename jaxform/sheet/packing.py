@@ -245,10 +245,11 @@ class _Listing(NamedTuple):
 
     Attributes:
         element: The element at each place (room,).
-        there: Whether it is in the list (room,), or another stands there for want of one.
-        kept, rank: Which elements, or pairs, are listed, and as which (n,).
-        count: How many they are.
-        per_block: How many there are in a block.
+        there: True at places of the list (room,); places beyond its end repeat an element.
+        active: True for listed elements, or pairs (n,).
+        rank: Position of each of these in the list (n,).
+        count: Number of listed elements, or pairs.
+        per_block: Number in a block.
     """
 
     element: jax.Array

@@ -92,7 +92,7 @@ class EnergyBalance:
 
     Attributes:
         volume: Enclosed before the last step [m^3].
-        pressed: How the loading pressed before the last step; None where it follows from the time alone.
+        load_state: State of the loading before the last step; None where the pressure depends on the time alone.
         external_work: Of the pressure: its forces times the nodes' displacements.
         damping_loss, contact_loss: Taken by damping, and by the mold.
         refinement_loss: Strain and kinetic energy that new nodes took away.

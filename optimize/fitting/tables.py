@@ -80,6 +80,7 @@ class Bubble:
         time: Time of each row (n,) [s], the sheet flat at 0 and inflated from then on; None where it is not given.
         radius: Radius of the disc [m].
         sheet: Thickness of the sheet before the test [m].
+        kind: Name of the kind of test.
     """
 
     name: str

@@ -74,6 +74,29 @@ def test_records_and_modules_stay_few() -> None:
     assert len(set(names)) == len(names)
 
 
+def _documented_attributes(one: ast.ClassDef) -> list[str]:
+    """Names in the section "Attributes" of a class's docstring."""
+    _, _, section = (ast.get_docstring(one) or "").partition("\nAttributes:\n")
+    lines = re.findall(r"^    (\w+(?:, \w+)*):", section, re.MULTILINE)
+    return [name for line in lines for name in line.split(", ")]
+
+
+def test_documented_attributes_are_those_of_the_record() -> None:
+    paths = [path for folder in ("jaxform", "optimize") for path in (ROOT / folder).rglob("*.py")]
+    for path in paths:
+        for one in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(one, ast.ClassDef) or not (documented := _documented_attributes(one)):
+                continue
+            fields = [
+                part.target.id
+                for part in one.body
+                if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name) and part.target.id[0] != "_"
+            ]
+            # A class with a base documents what it inherits, too.
+            if fields and (not one.bases or "NamedTuple" in map(ast.unparse, one.bases)):
+                assert set(documented) == set(fields), f"{path}: {one.name}"
+
+
 def test_a_run_needs_half_of_the_records() -> None:
     code = (
         "import sys, jaxform.runs.host; print(*(m.__file__ for n, m in sys.modules.items() if n.startswith('jaxform')))"
