@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import format_place, warn_of
 from jaxform.core.pytree import as_real
+from jaxform.loads import Gas, list_gases
 from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
 from jaxform.mesh import topology
 from jaxform.model.scene import ContactSurface, Scene
-from jaxform.tools.crossings import proper_crossings
+from jaxform.tools.crossings import nodal_normals, proper_crossings
 from jaxform.tools.distances import Distances
 from jaxform.tools.mold import Mold, make_mold
 from jaxform.tools.parting import find_beyond_land
@@ -25,6 +26,7 @@ from jaxform.tools.search import build_grid
 Array = NDArray[np.float64]
 
 _NEAR = 1e-4  # of the sheet's size: a tool that touches it at first may well pull it along
+_TOUCH = 1e-6  # of the sheet's size: a tool that reaches beyond it by less touches it
 _SAME = 1e-3  # of a distance: one that is as much less is nearer
 _FARTHER = 0.02  # of the sheet's size, that a tool moves off
 _TIMES = 21  # times at which the distance of a tool from the sheet is measured
@@ -123,15 +125,24 @@ def _used_places(scene: Scene) -> Array:
 
 
 def _warn_of_start(scene: Scene, tool: Mold, file: str) -> None:
-    """Warns of a tool that starts in an element; building a scene refuses one that crosses sides of elements."""
+    """Warns of a tool that starts in an element; building a scene refuses one that crosses sides of elements.
+
+    A tool that touches the sheet has edges on one side of it. The sheet is moved to either side, since vertices of a
+    tool that crosses it may lie in it: then edges at such a vertex cross it on both sides.
+    """
     positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
-    sheet = make_mold(positions, triangles)
-    grid = build_grid(np.asarray(sheet.vertices, float), np.asarray(sheet.triangles))
     edge = topology.edges(np.asarray(tool.triangles))[0]
     ends = np.asarray(tool.vertices, float)[edge]
-    hit, _ = proper_crossings(ends[:, 0], ends[:, 1], sheet, grid)
-    if len(hit):
-        key, where = words_of(tool)[1], format_place(ends[hit[0]].mean(0))
+    normals = nodal_normals(positions, triangles)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    crossing = []
+    for side in (1.0, -1.0):
+        sheet = make_mold(positions + side * _TOUCH * float(np.ptp(positions, axis=0).max()) * normals, triangles)
+        grid = build_grid(np.asarray(sheet.vertices, float), np.asarray(sheet.triangles))
+        crossing.append(np.unique(edge[proper_crossings(ends[:, 0], ends[:, 1], sheet, grid)[0]]))
+    through = np.intersect1d(*crossing)
+    if len(through):
+        key, where = words_of(tool)[1], format_place(np.asarray(tool.vertices, float)[through[0]])
         warn_of(f"starts in the sheet, near {where}", f"move it ({key}.translate)", key=key, file=file)
 
 
@@ -259,15 +270,21 @@ _APART = 120.0  # K, between a sheet's temperature and the shift's reference: wh
 _BELOW, _ABOVE = 60.0, 150.0  # K, by which a sheet may be below or above that reference in the same unit
 _LIKE_KELVIN = 253.15  # degC of air or mold: as hot is hardly any, and 253 K is as cold
 _IDLE_ENERGY = 500.0  # J/mol: plastics have 2e4 to 5e5
+_COLD = 150.0  # K: no gas is blown in as cold
+_RARE, _FAINT = 5000.0, 100.0  # Pa: no surroundings and no supply have less, but for a vacuum of 0
+_ROOMY = 100.0  # cubes as wide as sheet and tools: no hoses and no cavity have more
 _WAVE = 8.0  # times c over the density: the square of the speed of a wave along the sheet
 
 
 def warn_of_units(scene: Scene, file: str = "") -> None:
-    """Warns of likely unit errors in numbers of the material, of temperatures and of motion."""
+    """Warns of likely unit errors in numbers of the material, of temperatures, of gases and of motion."""
     _warn_of_modes(scene, file)
     _warn_of_shift(scene, file)
     if scene.cooling is not None and scene.parison.temperature is not None:
-        _warn_of_surroundings(scene.cooling, np.asarray(scene.parison.temperature, float), file)
+        _warn_of_surroundings(scene, scene.cooling, np.asarray(scene.parison.temperature, float), file)
+    gases = list_gases(scene.pressure)
+    for gas in gases:
+        _warn_of_gas(scene, gas, f"gas.{gas.closed_by}" if len(gases) > 1 else "gas", file)
     _warn_of_motion(scene, file)
 
 
@@ -302,25 +319,40 @@ def _warn_of_shift(scene: Scene, file: str) -> None:
         warn_of(problem, remedy, key="material.shift.activation_energy", value=float(energy), file=file)
 
 
-def _warn_of_surroundings(cooling: Cooling, temperature: np.ndarray, file: str) -> None:
-    """Warns of air or a mold that is warmer than the sheet, or whose temperature looks like kelvin."""
-    for name in ("air", "mold"):
-        value, key = float(getattr(cooling, f"{name}_temperature")), f"cooling.{name}_temperature"
-        if float(getattr(cooling, name)) == 0.0:
-            continue
+def _warn_of_surroundings(scene: Scene, cooling: Cooling, temperature: np.ndarray, file: str) -> None:
+    """Warns of air, a mold or a tool that is warmer than the sheet, or whose temperature looks like kelvin."""
+    given = [("air", "cooling.air_temperature", cooling.air, cooling.air_temperature)]
+    given.append(("a mold", "cooling.mold_temperature", cooling.mold, cooling.mold_temperature))
+    for tool in scene.tools:
+        if tool.temperature is not None:
+            transfer = cooling.mold if tool.heat_transfer is None else tool.heat_transfer
+            given.append(("a tool", f"tool.{tool.name}.temperature", transfer, tool.temperature))
+    for name, key, transfer, degrees in given:
+        value = float(degrees)
         hot, kelvin = value > temperature.min(), value > _LIKE_KELVIN
-        if not (hot or kelvin):
+        if float(transfer) == 0.0 or not (hot or kelvin):
             continue
-        problem = (
-            f"is above the sheet's temperature of {temperature.min():.4g} degC"
-            if hot
-            else f"is high for {name}"
-            if name == "air"
-            else "is high for a mold"
-        )
+        problem = f"is above the sheet's temperature of {temperature.min():.4g} degC" if hot else f"is high for {name}"
         problem += ": is it in kelvin?" if kelvin else ""
         remedy = f"give degC: {value - _KELVIN:.4g}" if kelvin else "check that this is intended"
         warn_of(problem, remedy, key=key, value=value, file=file)
+
+
+def _warn_of_gas(scene: Scene, gas: Gas, key: str, file: str) -> None:
+    """Warns of a gas with a temperature like degC, pressures like bar, areas like mm^2 or a volume like cm^3."""
+    size = float(
+        np.ptp(np.concatenate([_used_places(scene), *(one.mold.vertices for one in scene.surfaces)]), axis=0).max()
+    )
+    least = {"temperature": (_COLD, "degC", "K"), "ambient_pressure": (_RARE, "bar or kPa", "Pa")}
+    least["supply_pressure"] = (_FAINT, "bar or MPa", "Pa")
+    most = {"orifice_area": (size**2, "mm^2", "m^2"), "vent_area": (size**2, "mm^2", "m^2")}
+    most["dead_volume"] = (_ROOMY * size**3, "cm^3 or litres", "m^3")
+    for name, (limit, likely, unit) in {**least, **most}.items():
+        given = getattr(gas, name)
+        value = 0.0 if given is None else float(np.abs(np.asarray(given, float)).max())
+        if (0.0 < value < limit) if name in least else value > limit:
+            problem = f"is very {'small' if name in least else 'large'}: is it in {likely}?"
+            warn_of(problem, f"give {unit}", key=f"{key}.{name}", value=value, file=file)
 
 
 def _warn_of_motion(scene: Scene, file: str) -> None:

@@ -12,6 +12,7 @@ from jaxform.core.errors import format_extent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
 from jaxform.io.plausibility import heights_above, warn_of_land, warn_of_motion, warn_of_tools, warn_of_units
 from jaxform.io.surfaces import mirror_points
+from jaxform.loads import TwoSidedLoad
 from jaxform.mechanics.membrane import equibiaxial_energy
 from jaxform.mesh import outlines, raster, topology
 from jaxform.model.mesh_connectivity import warn_of_connectivity
@@ -263,17 +264,21 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
     stiffness = float(scene.law.stiffness_at_once().mean())
     largest = float(np.abs(scene.pushes()).max())
     load = largest / (2 * stiffness * seen.thinness)
+    inside = scene.pressure.inside if isinstance(scene.pressure, TwoSidedLoad) else scene.pressure
+    follows = inside.follows_volume
+    units = "Pa, kg/s, m^2, m^3 and s" if follows else "Pa"
     if load < _WEAK:
         if scene.moves:
             return
-        what = "there is no pressure" if largest == 0 else "the pressure hardly moves the sheet"
-        remedy = f"a sheet of this stiffness needs {stiffness * seen.thinness:.1g} Pa or more; give Pa"
+        what = f"the pressure, up to {largest:.2g} Pa, hardly moves the sheet" if largest else "there is no pressure"
+        remedy = f"a sheet of this stiffness needs {stiffness * seen.thinness:.1g} Pa or more; give {units}"
     elif load > _STRONG:
         what = f"the pressure is {load:.1g} times what the sheet can carry"
-        remedy = "give pressure and stiffness in Pa"
+        remedy = f"give {units}, and the stiffness in Pa"
     else:
         return
-    warn_of(what, remedy, key="pressure.value", value=scene.pushes().tolist(), file=file)
+    key, value = ("gas", None) if follows else ("pressure.value", scene.pushes().tolist())
+    warn_of(what, remedy, key=key, value=value, file=file)
 
 
 def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, moves: bool) -> None:

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 _ON = 0.01  # of the sheet's thickness: a node that is nearer to the mold lies on it
 _IN_PLANE = 1.0 - 1e-6  # cosine between the normals of a triangle and of a symmetry plane in which it lies
 _FACING = 0.1  # cosine between the sheet's normal and a triangle's, below which pressure does not define the side
+_ASIDE = np.array([0.27, 0.84, 0.47])  # a direction along no edge of built-in shapes
 _CHUNK = 2_000_000  # pairs of node and triangle processed together
 
 
@@ -133,15 +134,17 @@ def check_start(parison: Parison, triangles: NDArray[np.integer], mold: Mold, gr
     """Refuses a sheet that is through the mold.
 
     A sheet that touches it within the tolerance of `find_initial_contact` is accepted: a sheet through the mold still
-    is when moved by as much to either side.
+    is when moved by as much to either side. It is not tested where it is given: edges of sheet and mold that meet
+    there, as those of a disc and a rod with one axis do, would count as touching.
 
     Raises:
         InputError: If a side of an element crosses the mold.
     """
     positions = np.asarray(parison.positions, float)
     sides, _ = topology.edges(triangles)
-    off = 2 * tolerance(parison, grid) * _normals(positions, triangles)
-    for shift in (np.zeros_like(off), off, -off):
+    near = 2 * tolerance(parison, grid)
+    off, aside = near * _normals(positions, triangles), 0.5 * near * _ASIDE
+    for shift in (off + aside, off - aside, -off + aside, -off - aside):
         places = positions + shift
         through, triangle = proper_crossings(places[sides[:, 0]], places[sides[:, 1]], mold, grid)
         sides = sides[through]

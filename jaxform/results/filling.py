@@ -215,7 +215,7 @@ def warnings_of_filling(result: Result, scene: Scene, filling: Filling) -> list[
         return []
     return [
         f"the mold is not filled: {gap.width:.3g} m remain at {format_place(gap.place)}, "
-        f"{100 * gap.width / filling.depth:.0f} % of the opening's depth; raise pressure.value or solver.end_time, or "
+        f"{100 * gap.width / filling.depth:.0f} % of the opening's depth; raise the pressure or solver.end_time, or "
         "set mold.fill = false"
     ]
 

@@ -154,7 +154,7 @@ def _warnings_of_no_contact(result: Result, scene: Scene) -> list[str]:
         return []
     return [
         "nothing touched the mold after the start; look at sheet and mold with `jaxform check` (units, "
-        "sides), or raise pressure.value or solver.end_time"
+        "sides), or raise the pressure or solver.end_time"
     ]
 
 
@@ -250,7 +250,7 @@ def _warnings_of_crossing(result: Result, scene: Scene) -> list[str]:
     remedy = "" if joins else "set solver.self_contact = true, which welds the sides of a fold, "
     return [
         f"the sheet passes through itself with {len(found)} elements, at {where}: it folds there, or two of its sides "
-        f"meet{cause}; the wall is not reliable there; {remedy}lower pressure.value, or widen narrow places of the mold"
+        f"meet{cause}; the wall is not reliable there; {remedy}lower the pressure, or widen narrow places of the mold"
     ]
 
 
@@ -264,7 +264,7 @@ def _warnings_of_tearing(result: Result) -> list[str]:
     count = f"{len(torn)} elements without contact are" if len(torn) > 1 else "an element without contact is"
     return [
         f"{count} stretched unrealistically: down to {100 * ratio[worst]:.2g} % of the initial thickness at "
-        f"{where}; lower pressure.value or the end time, or put the mold where it stops the sheet"
+        f"{where}; lower the pressure or the end time, or put the mold where it stops the sheet"
     ]
 
 

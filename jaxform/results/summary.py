@@ -67,7 +67,7 @@ _REMEDIES = {
     Status.BURST: "lower the pressure, widen narrow places of the mold, or set solver.self_contact where it folds",
     Status.INPUT: "keep designed parameters within their range, and free of NaN",
     Status.UNBALANCED: "lower solver.safety, raise solver.damping, or raise the pressure more slowly",
-    Status.UNFILLED: "raise pressure.value or solver.end_time, or set mold.fill = false if the mold need not be filled",
+    Status.UNFILLED: "raise the pressure or solver.end_time, or set mold.fill = false if the mold need not be filled",
 }
 
 

@@ -247,4 +247,5 @@ def make_motion(direction: ArrayLike, time: ArrayLike, displacement: ArrayLike) 
         raise InputError(
             "the motion does not start with a displacement of 0", remedy, "mold.motion.displacement", float(far[0])
         )
+    way /= np.abs(way).max()  # so that no square overflows or vanishes
     return Motion(as_real(way / np.linalg.norm(way)), as_real(times), as_real(far))

@@ -26,6 +26,7 @@ from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.volumes import areas, conserve_volume, nodal_fields
 from jaxform.tools.molds import rotation
+from tests import scenes
 
 Array = NDArray[np.float64]
 
@@ -424,6 +425,24 @@ def test_a_mold_in_its_own_coordinates_is_placed_as_the_scene_did(
     capfd.readouterr()
     assert command.main([*arguments, "--pose", "scene", "--scale", "0.001"]) == 2
     assert "mold's file" not in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("summary", "height"),
+    [('{"time": 0.02}', 0.15), ('{"time": 0.01}', 0.115625), ("{}", 0.1648), ('{"time": []}', 0.1648)],
+)
+def test_the_pose_of_a_moving_mold_is_that_at_the_end_of_the_run(tmp_path: Path, summary: str, height: float) -> None:
+    """Not that at its last knot, which the run may not have reached."""
+    motion = "[mold.motion]\ndirection = [0.0, 0.0, 3.0]\ntime = [0.0, 0.04]\ndisplacement = [0.0, 0.1]\n"
+    mold = 'shape = "file"\npath = "mold.stl"\ntranslate = [0.0, 0.0, 0.1]\n'
+    begin, end = (scenes.FILE.index(word) for word in ('shape = "revolved"', "[solver]"))
+    (tmp_path / "simulated.toml").write_text(
+        scenes.FILE[:begin] + mold + motion + scenes.FILE[end:].replace("0.05", "0.024")
+    )
+    (tmp_path / "summary.json").write_text(summary)
+    pose = mapping.read_pose(tmp_path)
+    assert pose is not None
+    np.testing.assert_allclose(pose.shift, [0.0, 0.0, height], rtol=1e-12)
 
 
 def test_a_pose_without_a_mold_from_a_file_is_refused(

@@ -141,6 +141,8 @@ def test_a_file_with_tools_makes_a_scene_with_them() -> None:
         ([{"name": "base", "shape": "file", "path": "no.stl"}], "tool.base.path = .*no.stl.*: does not exist"),
         ([3], "tool\\[0\\] = 3: is not a table"),
         ([_plug(translate=[0.02, 0.02, 0.03])], "tool.plug: the parison initially penetrates the tool, .*tool.plug.tr"),
+        # A ring of its vertices, and edges between them, lie in the sheet.
+        ([_plug(translate=[0.0, 0.0, 0.01])], "tool.plug: the parison initially penetrates the tool, "),
     ],
 )
 def test_errors_name_the_tool(tools: Any, words: str) -> None:
@@ -232,6 +234,9 @@ CUP = {"shape": "revolved", "profile": [[0.0, 0.05], [0.07, 0.05], [0.1, 0.0]], 
         ),
         ([_plug(direction=[0.0, 0.0, -1.0])], ["tool.plug: never reaches the sheet: .* reverse tool.plug.direction"]),
         ([_plug(translate=[0.026, 0.003, 0.01], radius=5e-4, segments=6)], ["tool.plug: starts in the sheet, near "]),
+        # A ring of its vertices lies in the sheet: inside of an element, or at its pole alone.
+        ([_plug(translate=[0.026, 0.003, 2.5e-4], radius=5e-4)], ["tool.plug: starts in the sheet, near "]),
+        ([_plug(translate=[0.026, 0.003, 0.0], radius=5e-4)], []),
         (
             [_plug(radius=20.0, length=50.0, translate=[0.0, 0.0, -0.5])],
             ["tool.plug: the tool plug is 250 times .*milli"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from pathlib import Path
 
@@ -72,6 +73,60 @@ def test_numbers_in_other_units_are_told(tmp_path: Path, name: str) -> None:
 )
 def test_usual_numbers_are_not(tmp_path: Path, further: str, temperature: float) -> None:
     assert not _collect_warnings(tmp_path, _scene(further, temperature))
+
+
+GAS = """[[gas]]
+time = [0.0]
+supply_pressure = {supply_pressure}
+orifice_area = {orifice_area}
+temperature = {temperature}
+ambient_pressure = {ambient_pressure}
+dead_volume = {dead_volume}
+[[gas]]
+closed_by = "mold"
+vent_area = {vent_area}
+dead_volume = 4e-4
+"""
+USUAL = {
+    "supply_pressure": 8e5,
+    "orifice_area": 1e-6,
+    "temperature": 293.15,
+    "ambient_pressure": 101325.0,
+    "dead_volume": 1e-5,
+    "vent_area": 1e-5,
+}
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "words"),
+    [
+        ("temperature", 20.0, "gas.clamp.temperature = 20.0: is very small: is it in degC"),
+        ("ambient_pressure", 1.013, "is it in bar or kPa"),
+        ("supply_pressure", 8.0, "gas.clamp.supply_pressure = 8.0: .* bar or MPa"),
+        ("orifice_area", 1.0, "orifice_area = 1.0: is very large: is it in mm"),
+        ("vent_area", 2.0, "gas.mold.vent_area = 2.0: .* mm"),
+        ("dead_volume", 10.0, "dead_volume = 10.0: .* litres"),  # and the gas hardly moves the sheet
+        (None, None, None),
+    ],
+)
+def test_numbers_of_gases_in_other_units_are_told(tmp_path: Path, key: str, given: float, words: str | None) -> None:
+    begin, end = (scenes.FILE.index(word) for word in ("[pressure]", "[mold]"))
+    numbers = USUAL | ({} if key is None else {key: given})
+    told = _collect_warnings(tmp_path, scenes.FILE[:begin] + GAS.format(**numbers) + scenes.FILE[end:])
+    assert len(told) == (words is not None) + (key == "dead_volume")
+    assert words is None or re.search(words, told[-1]), told
+    assert key != "dead_volume" or re.search(r"scene.toml: gas: the pressure, up to 0.72 Pa, hardly moves", told[0])
+
+
+def test_a_tool_with_a_temperature_in_kelvin_is_told(tmp_path: Path) -> None:
+    plug = '[[tool]]\nname = "plug"\nshape = "plate"\nradius = 0.02\ntranslate = [0.0, 0.0, -0.01]\ntemperature = {}\n'
+    plug += "direction = [0.0, 0.0, 1.0]\ntime = [0.0, 0.05]\ndisplacement = [0.0, 0.02]\n"
+    cooling = COOLING.format(air=25.0, mold=60.0)
+    told = [
+        _collect_warnings(tmp_path, _scene(PASCALS + cooling + plug.format(value), 150.0)) for value in (333.0, 60.0)
+    ]
+    assert len(told[0]) == 1 and "tool.plug.temperature = 333.0: " in told[0][0] and "give degC: 59.85" in told[0][0]
+    assert not told[1]
 
 
 def test_a_mold_faster_than_waves_is_told(tmp_path: Path) -> None:

@@ -208,3 +208,12 @@ def test_another_loading_may_declare_a_number_of_the_name_of_a_method() -> None:
     assert int(result.status) == 0
     with pytest.raises(jaxform.InputError, match="no such parameter"):
         jaxform.replace(_sphere(end_time=1.0, elements=60), {"pressure.inflow": 1.0})
+
+
+def test_a_gas_at_ambient_pressure_pushes_nowhere_at_first() -> None:
+    """Its pressure is then the rounding of two absolute pressures, whose sign says nothing of the side it pushes to."""
+    for volume in np.linspace(1.0, 10.0, 25):
+        gas = jaxform.make_gas([0.0], 1e-3, dead_volume=volume)
+        pushes = gas.pushes(1.0, 0.0)
+        assert pushes[0] == 0.0
+        np.testing.assert_allclose(pushes[1:], 1e-3 * 287.06 * 293.15 / volume * np.linspace(0, 1, len(pushes))[1:])

@@ -96,7 +96,7 @@ def test_a_gap_wider_than_an_element_is_warned_of_unless_the_mold_need_not_be_fi
         sentences = [words for words in summary["warnings"] if "the mold is not filled: " in words]
         assert summary["status"] == "ok" and bool(sentences) == warned
         if warned:
-            assert "% of the opening's depth; raise pressure.value" in sentences[0]
+            assert "% of the opening's depth; raise the pressure" in sentences[0]
             open_mold = summarize(part, dataclasses.replace(scene, fill=False))
             assert not any("not filled" in words for words in open_mold["warnings"])
 

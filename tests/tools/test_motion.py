@@ -240,3 +240,10 @@ def test_a_motion_rests_from_its_last_knot_on_whatever_the_displacements_are() -
     assert len(time) > 3
     padded = dataclasses.replace(held, time=jnp.asarray(time), displacement=jnp.asarray(displacement))
     assert float(padded.last_time) == 3.0
+
+
+@pytest.mark.parametrize("length", [1e-200, 1.0, 1e200])
+def test_a_direction_may_have_any_length(length: float) -> None:
+    """Its square is no double where it is as short or long."""
+    motion = jaxform.make_motion([0.0, 3.0 * length, -4.0 * length], [0.0, 1.0], [0.0, 1.0])
+    np.testing.assert_allclose(motion.direction, [0.0, 0.6, -0.8], rtol=1e-15)

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError, format_extent, warn_of
+from jaxform.core.pytree import as_real
+from jaxform.io import previous_results
 from jaxform.io.export.wall import WallSurface
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.volumes import areas, conserve_volume
 from jaxform.tools.distances import Distances, NearestPlaces, interpolate, weights
+from jaxform.tools.mold import make_motion
 from jaxform.tools.molds import rotation
 from jaxform.tools.search import split_long_triangles
 
@@ -272,8 +275,11 @@ def read_pose(folder: Path) -> Pose | None:
         return None
     shift = np.array(table.translate, float)
     if table.motion is not None:
-        way = np.array(table.motion.direction, float)
-        shift = shift + way / np.linalg.norm(way) * table.motion.displacement[-1]
+        motion = make_motion(**table.motion.model_dump())
+        ended = previous_results.read_summary(folder).get("time")
+        if not isinstance(ended, float | int) or not abs(ended) <= meshes.LARGEST:
+            ended = document.model.solver.end_time
+        shift = shift + np.asarray(motion.offset(as_real(ended)), float)
     paths = [table.path] if isinstance(table.path, str) else table.path
     located = tuple(disk.expand_path(path, document.folder) for path in paths)
     return Pose(table.scale, rotation(np.array(table.rotate, float)), shift, located)

@@ -300,7 +300,10 @@ class SceneFile(Table):
     def _check_gases(self) -> SceneFile:
         sides = [gas.closed_by for gas in self.gases]
         if self.pressure is not None and "clamp" in sides:
-            raise validation_error("is given together with [pressure]", "give one of the two", "gas", {})
+            remedy = 'give one of the two, or closed_by = "mold" for the gas between sheet and mold'
+            raise validation_error(
+                "is given together with [pressure], on the same side", remedy, "gas.closed_by", "clamp"
+            )
         if len(set(sides)) < len(sides):
             remedy = 'give one with closed_by = "clamp" and one with "mold"; simulate each cavity with a gas of its own'
             raise validation_error("has two gases on the same side of the sheet", remedy, "gas", sides)
