@@ -27,7 +27,7 @@ from jaxform.mechanics.membrane import cross, dot, unstack_rows, vector
 from jaxform.model.scene import Adaptivity, Scene
 from jaxform.model.tables import BisectionHierarchy
 from jaxform.sheet.discretization import RefinedMesh
-from jaxform.sheet.state import State, initial_node_state
+from jaxform.sheet.state import State, clamp_is_open, initial_node_state
 from jaxform.tools import search
 from jaxform.tools.mold import Mold, ToolFrame
 from jaxform.tools.search import SearchGrid, cell_of
@@ -222,7 +222,10 @@ def insert_nodes(
     frame = frames[0] if len(frames) == 1 else None
     if frame is not None:
         nodes = _to_frame(nodes, frame)
-    nodes = map_blocks(nodes, lambda nodes, births: _interpolate_nodes(nodes, births, scene, forest, volumes, frame))
+    opened = clamp_is_open(state, scene)
+    nodes = map_blocks(
+        nodes, lambda nodes, births: _interpolate_nodes(nodes, births, scene, forest, volumes, frame, opened)
+    )
     for number, own in enumerate(frames):
         surface = surfaces[number]
 
@@ -254,6 +257,7 @@ def _interpolate_nodes(
     forest: BisectionHierarchy,
     volumes: jax.Array,
     frame: ToolFrame | None,
+    opened: jax.Array,
 ) -> Nodes:
     """The nodes with the block's new ones in the middle of their edges, moving as these did.
 
@@ -271,7 +275,7 @@ def _interpolate_nodes(
         lambda first, second: weight[None] * first + (1.0 - weight)[None] * second,
         forest.depth,
     )
-    stuck, contact_time, wall, tool = initial_node_state(scene, births.node)
+    stuck, contact_time, wall, tool = initial_node_state(scene, births.node, opened=opened)
     moves, speeds = jnp.where(stuck, 0.0, middle), jnp.where(stuck, 0.0, velocities)
     if frame is not None:
         # In the frame of the tool the clamped nodes move.

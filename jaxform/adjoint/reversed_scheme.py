@@ -44,7 +44,7 @@ from jaxform.sheet.active_set import inactive_volume, pack_moving
 from jaxform.sheet.discretization import NEVER, Discretization, RefinedMesh, present_discretization
 from jaxform.sheet.energy_balance import rim_places
 from jaxform.sheet.scheme import WindowTiming, add_gravity, pressures, update_velocity, velocity_steps
-from jaxform.sheet.state import LOSSES, Schedule, State, differentiable_leaves
+from jaxform.sheet.state import LOSSES, Schedule, State, differentiable_leaves, immobile_nodes
 
 
 @pytree
@@ -55,6 +55,7 @@ class _WindowResiduals:
         scene: The scene.
         first: Discretization at the run's begin.
         stuck: Nodes that are stuck at the window's begin (n_node,).
+        immobile: Nodes that never move again from the window's begin on (n_node,), where a clamp opens; None otherwise.
         time: Time at the window's begin [s].
         before: Step length of the window before [s].
         volume: Enclosed volume at the window's begin, as in `EnergyBalance` [m^3].
@@ -73,6 +74,7 @@ class _WindowResiduals:
     scene: Scene
     first: Discretization
     stuck: jax.Array
+    immobile: jax.Array | None
     time: jax.Array
     before: jax.Array
     volume: jax.Array
@@ -111,6 +113,7 @@ def _value(
         scene=scene,
         first=first,
         stuck=state.nodes.stuck,
+        immobile=None if scene.parison.clamp_until is None else immobile_nodes(state, scene),
         time=state.time,
         before=state.control.step_length,
         volume=state.account.volume,
@@ -181,7 +184,7 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     """Cotangents of a window's begin and its other arguments, from those of its `end`."""
     scene, begun = kept.scene, cotangents.of[0]
     discrete = present_discretization(scene, kept.mesh, kept.first)
-    packed = pack_moving(kept.stuck, kept.mesh, scene, discrete)
+    packed = pack_moving(kept.stuck if kept.immobile is None else kept.immobile, kept.mesh, scene, discrete)
     timing, longest = (kept.time, kept.before, kept.length), scene.tables.window_room
     (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing, longest), scene.pressure)
     number = jnp.arange(longest)

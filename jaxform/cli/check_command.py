@@ -133,7 +133,8 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
         if _is_cut_at_planes(scene)
         else ""
     )
-    yield f"{parts}, {rims}, {held} of {first} nodes clamped{on_planes}"
+    until = "" if parison.clamp_until is None else f" until {float(parison.clamp_until):g} s"
+    yield f"{parts}, {rims}, {held} of {first} nodes clamped{until}{on_planes}"
     turns = ", and changes sign" if seen.changes_sign else ""
     loads = "the pressure" if scene.solver.gravity is None else "the pressure with the weight of the sheet"
     if scene.pressure.follows_volume:

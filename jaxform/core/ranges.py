@@ -76,6 +76,7 @@ class Range:
 RANGES: dict[str, Range] = {
     "parison.thickness": Range("m", above=0.0),
     "parison.pre_stretch": Range(least=1.0, most=10.0),
+    "parison.clamp_until": Range("s", above=0.0),
     "pressure.time": Range("s", increasing=True),
     "pressure.value": Range("Pa"),
     "gas.time": Range("s", increasing=True),

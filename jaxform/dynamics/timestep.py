@@ -26,7 +26,7 @@ from jaxform.model.tables import MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW, SLA
 from jaxform.sheet.active_set import ActiveSet, Workspace
 from jaxform.sheet.discretization import element_law
 from jaxform.sheet.energy_balance import energy_rounding, present_pressure
-from jaxform.sheet.state import PackedState, can_move, immobile_nodes, noise_vector
+from jaxform.sheet.state import PackedState, can_move, clamp_is_open, immobile_nodes, next_stop, noise_vector
 
 RUNGS_PER_OCTAVE = 16
 _FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
@@ -37,6 +37,7 @@ _SQUARINGS = 30  # of a small matrix: eigenvalues a billionth apart are then tol
 _MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
 _RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
 _WEAK_DAMPING = 5e-4, 2e-3  # of a velocity in a step: with less the step is that without damping, with more the whole
+_SWINGING = 5.0  # times over damping, until which a sheet swings that a clamp let go: to less than 1 % of the energy
 _GAIN, _MOST_SHORTENING = 1e-3, 4.0  # of the largest work: gained beyond that, the step is shorter in proportion
 _RISE_RUNGS = 15.5  # by how many the step rises again where nothing damps: between two, so that rounding decides none
 LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
@@ -63,9 +64,11 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
     longest, limit, room = _limit(state, scene, active)
     longest = scene.solver.safety * longest
     damped = damped_share(longest, scene)
+    if scene.parison.clamp_until is not None:
+        damped = jnp.where(_swings_from_clamp(state, scene), 0.0, damped)
     shorter = UNDAMPED / _gain_factor(state, scene, active)
     longest = (shorter + (1.0 - shorter) * damped) * longest
-    end = scene.solver.end_time
+    end = next_stop(state, scene)
     for mold, grid, _ in scene.surfaces:
         # No node passes more of the range of its list in one step than can be watched.
         range_per_step = RANGE_PER_STEP * grid.farthest
@@ -109,6 +112,18 @@ def damped_share(length: jax.Array, scene: Scene) -> jax.Array:
     taken = jnp.maximum(jax.lax.stop_gradient(damping) * length, jnp.finfo(length.dtype).tiny)
     weak, strong = (math.log(taken) for taken in _WEAK_DAMPING)
     return jnp.clip((jnp.log(taken) - weak) / (strong - weak), 0.0, 1.0)
+
+
+def _swings_from_clamp(state: PackedState, scene: Scene) -> jax.Array | bool:
+    """True from the opening of the clamp on, until damping has taken the energy of the fast modes that it excites.
+
+    As long as there is such energy, every change of the step changes it.
+    """
+    until, damping = scene.parison.clamp_until, scene.solver.damping
+    if until is None or damping is None:
+        return False
+    last = jnp.maximum(damping, jnp.finfo(damping.dtype).tiny)
+    return clamp_is_open(state, scene) & (state.time < until + _SWINGING / last)
 
 
 def _share_rest(rest: jax.Array, step: jax.Array, most: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -45,7 +45,7 @@ from jaxform.sheet.cooling import cool_state
 from jaxform.sheet.discretization import NEVER, Discretization
 from jaxform.sheet.energy_balance import rim_places
 from jaxform.sheet.scheme import pressures, velocity_steps
-from jaxform.sheet.state import PackedState, Schedule, State
+from jaxform.sheet.state import PackedState, Schedule, State, next_stop
 
 _STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a schedule
 
@@ -269,10 +269,13 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
         bound = element_step_bound(state, scene, active)
         rungs = jnp.ceil(jnp.log2(_STIFFER * schedule.bounds[row] / bound) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE
         finer = jnp.exp2(jnp.maximum(rungs, 0.0) + state.control.retries)
+        rest = left
+        if scene.parison.clamp_until is not None:
+            rest = jnp.minimum(left, jnp.maximum(next_stop(state, scene) - state.time, 0.0))
         # As many as planned, if none of them is taken yet; else what is left is divided evenly.
-        steps = jnp.ceil(left / length * finer - SLACK).astype(count.dtype)
+        steps = jnp.ceil(rest / length * finer - SLACK).astype(count.dtype)
         fresh = (steps == count) & (state.replay.row_time == 0.0)
-        even = left / jnp.maximum(steps, 1)
+        even = rest / jnp.maximum(steps, 1)
         own = jnp.where(fresh, jnp.minimum(length, even), even)
         most = jnp.clip(steps, 1, max_step_count(own, scene))
         limit = state.nodes.mode, bound, state.control.sharpness, state.control.rung

@@ -255,9 +255,8 @@ def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Tri
         sheet = replace(sheet, positions=sheet.positions / np.append(stretches, 1.0))
     triangles = sheet.triangles if forest is None else forest.triangles[: forest.root_count]
     clamped, fixed = (sheet.clamped, sheet.fixed) if forest is None else (forest.clamped, forest.fixed)
-    return make_parison(
-        sheet.positions, triangles, thickness, clamped, fixed, temperature, stretches, guided=sheet.guided
-    )
+    own = {"guided": sheet.guided, "clamp_until": table.clamp_until}
+    return make_parison(sheet.positions, triangles, thickness, clamped, fixed, temperature, stretches, **own)
 
 
 def _loading(model: schema.SceneFile) -> Loading:

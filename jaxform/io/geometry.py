@@ -77,7 +77,7 @@ def _unmeshed_sheet(document: SceneDocument, store: Store | None, find_mold: Cal
     anew = document.model.refinement is not None or table.mesh is not None or table.adapt is not None
     if store is None or anew or not isinstance(table, meshed):
         return _make_shape(document, find_mold)
-    depends: list[Any] = [table.model_dump(exclude={"thickness", "temperature"})]
+    depends: list[Any] = [table.model_dump(exclude={"thickness", "temperature", "clamp_until"})]
     if isinstance(table, schema.Outline) and table.polygon is None and (mold := find_mold()) is not None:
         depends += [np.asarray(mold.vertices), np.asarray(mold.triangles)]
     kept = store.arrays("sheet", tuple(depends), lambda: _arrays(_make_shape(document, find_mold)))
@@ -150,7 +150,7 @@ def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -
             return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
     if not isinstance(table, schema.Disc | schema.Outline):
         given = table.model_dump(
-            exclude={"shape", "thickness", "temperature", "pre_stretch", "radius", "mesh", "adapt"}
+            exclude={"shape", "thickness", "temperature", "pre_stretch", "radius", "mesh", "adapt", "clamp_until"}
         )
         if (radius := getattr(table, "radius", None)) is not None:
             local = isinstance(radius, schema.ProfileTable)

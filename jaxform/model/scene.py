@@ -37,11 +37,13 @@ class Parison:
         positions: Initial node positions (n_node, 3) [m]; with refinement those of the whole forest, the mesh's first.
         triangles: Node numbers (n_element, 3); pressure acts along their normals (right-hand rule).
         thickness: Initial thickness at the nodes (n_node,) [m].
-        clamped: Nodes that never move (n_node,).
+        clamped: Nodes that the clamp holds (n_node,): they do not move, as long as it is not opened.
         fixed: Components that never move (n_node, 3), on symmetry planes.
         temperature: Initial temperature at the nodes (n_node,) [degC]; None where nothing needs it.
         pre_stretch: Stretches along x and y (2,) that the flat sheet has in its initial positions; its thickness is
             that before. None where the initial sheet is free of stress.
+        clamp_until: Time [s] at which the clamp opens, so that the clamped nodes are free from then on; None where it
+            holds them to the end.
         guided: Axes (0 to 2) along which nodes are fixed in planes that are no planes of symmetry.
     """
 
@@ -52,6 +54,7 @@ class Parison:
     fixed: jax.Array
     temperature: jax.Array | None = None
     pre_stretch: jax.Array | None = None
+    clamp_until: jax.Array | None = None
     guided: tuple[int, ...] = static(default=())
 
     def unstretched(self, positions: ArrayLike) -> np.ndarray:
@@ -329,6 +332,7 @@ def make_parison(
     temperature: ArrayLike | None = None,
     pre_stretch: ArrayLike | None = None,
     guided: Collection[int] = (),
+    clamp_until: float | None = None,
 ) -> Parison:
     """A parison from positions (n_node, 3) [m], triangles (n_element, 3) and clamped nodes (n_node,).
 
@@ -336,19 +340,25 @@ def make_parison(
         positions: Initial node positions.
         triangles: Node numbers.
         thickness: Initial thickness [m], a number or (n_node,).
-        clamped: Mask of the nodes that never move.
+        clamped: Mask of the nodes that do not move, as long as the clamp is not opened.
         fixed: Mask (n_node, 3) of components that never move, for symmetry planes; none by default.
         temperature: Temperature of the sheet [degC], a number or (n_node,); None if the material does not depend on it.
         pre_stretch: Stretches along x and y (2,) of a sheet in a plane z = const, which is stretched from the origin
             before it is clamped; positions and thickness are those before.
         guided: Axes (0 to 2) along which `fixed` holds nodes in planes that are no planes of symmetry, such as the ends
             of a tube.
+        clamp_until: Time [s] at which the clamp opens, so that the clamped nodes are free from then on; by default it
+            holds them to the end.
 
     Raises:
         InputError: If a thickness is not a positive finite number, or thickness or temperature do not fit the mesh; if
-            a pre-stretch is below 1, or the sheet is not flat.
+            a pre-stretch is below 1, or the sheet is not flat; if a clamp opens that holds no node.
     """
     count = len(positions)
+    if clamp_until is not None:
+        check_one("parison.clamp_until", clamp_until)
+        remedy = "leave it out, or clamp nodes"
+        require(bool(np.any(clamped)), "no node is clamped", "parison.clamp_until", clamp_until, remedy)
     stretches = None if pre_stretch is None else _pre_stretch(pre_stretch, np.asarray(positions, float))
     if stretches is not None:
         positions = np.asarray(positions, float) * np.append(stretches, 1.0)
@@ -360,6 +370,7 @@ def make_parison(
         fixed=jnp.zeros((count, 3), bool) if fixed is None else jnp.asarray(fixed, bool),
         temperature=None if temperature is None else _nodal("parison.temperature", temperature, count),
         pre_stretch=None if stretches is None else as_real(stretches),
+        clamp_until=None if clamp_until is None else as_real(clamp_until),
         guided=tuple(sorted(guided)),
     )
 

@@ -350,6 +350,18 @@ def check_gas(pressure: Loading, volume: float) -> None:
         raise InputError(f"the gas has a volume of {first:.3g} m^3 at first", remedy, "gas.dead_volume")
 
 
+def check_clamp_opening(parison: Parison, pressure: Loading, solver: Solver) -> None:
+    """Raises InputError where a clamp opens before the end that closes a gas; warns where it opens after the end."""
+    until, end = float(np.asarray(parison.clamp_until)), float(solver.end_time)
+    key = "parison.clamp_until"
+    if until >= end:
+        remedy = "let it open earlier, or leave it out"
+        warn_of(f"the clamp does not open before the end at {end:g} s", remedy, key=key, value=until)
+    elif pressure.follows_volume:
+        remedy = "leave it out, or give [pressure] instead of the gas"
+        raise InputError("lets out the gas that the clamped sheet encloses", remedy, key, until)
+
+
 def check_weight(solver: Solver, refinement: Refinement | None) -> None:
     """Raises InputError where gravity would act on the added mass of mass scaling."""
     if solver.gravity is None or refinement is None or not int(refinement.mass_scaling_levels):

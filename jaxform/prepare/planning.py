@@ -248,7 +248,8 @@ def build_hierarchy(parison: Parison, refinement: Refinement) -> tuple[bisection
     )
     assert thickness is not None
     extended = extend_parison(forest, thickness, temperature)
-    return forest, dataclasses.replace(extended, pre_stretch=parison.pre_stretch, guided=parison.guided)
+    inherited = {name: getattr(parison, name) for name in ("pre_stretch", "clamp_until", "guided")}
+    return forest, dataclasses.replace(extended, **inherited)
 
 
 def extend_parison(

@@ -175,7 +175,12 @@ def build_scene(
     sheet = _reference_sheet(parison, pressure)
     rest = parison.unstretched(positions)
     bound = as_real(volumes.shape_bound(rest, triangles))
-    held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
+    held = np.asarray(parison.fixed)
+    if parison.clamp_until is None:
+        held = held | np.asarray(parison.clamped)[:, None]
+    else:
+        component_validation.check_clamp_opening(parison, pressure, solver)
+        in_contact = _release_from_moving_tools(in_contact, parison, surfaces)
     mobility, grown = as_real(~held.T), None
     rim = moving_rim(positions, triangles, held, np.asarray(sheet.origin), forest)
     if refinement is not None and forest is not None:
@@ -355,6 +360,17 @@ def _place_on_surface(
         )
     walls, numbers = np.where(wall != 0, wall, walls), np.where(wall != 0, number, numbers)
     return dataclasses.replace(parison, positions=as_real(positions)), (walls, numbers)
+
+
+def _release_from_moving_tools(
+    found: tuple[np.ndarray, np.ndarray] | None, parison: Parison, surfaces: Sequence[Mold]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The initial contact without clamped nodes on tools that move: when the clamp opens, these are elsewhere."""
+    if found is None:
+        return None
+    walls, numbers = found
+    moves = np.array([surface.motion is not None for surface in surfaces])
+    return np.where(np.asarray(parison.clamped) & moves[numbers], 0, walls), numbers
 
 
 def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:

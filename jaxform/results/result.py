@@ -429,9 +429,9 @@ _THINNEST = 0.5  # of the mean of its elements: below this a corrected nodal thi
 def parison_of(result: Result, scene: Scene) -> Parison:
     """The formed part as a parison, for `build_scene` of the next stage: its shape without stress, and its mass.
 
-    The mesh has the nodes and elements that exist at the end. Clamped nodes and nodes on symmetry planes keep their
-    constraints. Material parameters that vary over the sheet are not part of a parison; the next scene needs them at
-    the nodes of this parison, which are `result.active` of the former ones.
+    The mesh has the nodes and elements that exist at the end. Nodes that are clamped at the end, and those on
+    symmetry planes, keep their constraints. Material parameters that vary over the sheet are not part of a parison; the
+    next scene needs them at the nodes of this parison, which are `result.active` of the former ones.
 
     Args:
         result: The part; not traced.
@@ -450,7 +450,7 @@ def parison_of(result: Result, scene: Scene) -> Parison:
         _conserve_volume(
             np.asarray(part.thickness, float), positions, triangles, np.asarray(part.element_volume, float)
         ),
-        np.asarray(kept.parison.clamped),
+        np.asarray(kept.parison.clamped) & (np.asarray(part.contact_time) == 0.0),
         np.asarray(kept.parison.fixed),
         None if temperature is None else np.asarray(temperature),
         guided=kept.parison.guided,

@@ -84,6 +84,7 @@ def pad_parison(parison: Parison, elements: int, order: Order) -> Parison:
         fixed=pad_nodal(np.asarray(parison.fixed).T, order, True).T,
         temperature=None if parison.temperature is None else like_first_node(parison.temperature),
         pre_stretch=parison.pre_stretch,
+        clamp_until=parison.clamp_until,
     )
 
 

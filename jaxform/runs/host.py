@@ -31,6 +31,7 @@ from jaxform.runs.padding import Padded, pad_to_bucket
 from jaxform.sheet.active_set import ActiveSet, repack, whole_set
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
 from jaxform.sheet.energy_balance import energy_rounding
+from jaxform.sheet.scheme import open_clamp
 from jaxform.sheet.self_contact import stick_folds
 from jaxform.sheet.state import PackedState, State, Status, Taken, is_finished
 
@@ -316,6 +317,7 @@ def advance(
                 # Idle elements were brought up to date, so that their energy has changed.
                 stale |= active.idle.since > carry.active.idle.since
         state, active = repack(state, scene, now, active, stale)
+        state = open_clamp(state, scene, active)
         whole_window = lambda now: window_in_place(stick_folds(now[0], scene, now[1]), scene, now[1])  # noqa: E731
         after, active = skip_if_full(state.status, scene, whole_window, (state, active))
         at = state.windows

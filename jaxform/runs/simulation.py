@@ -33,6 +33,7 @@ from jaxform.results.result import Result, make_result
 from jaxform.runs.host import IN_MEMORY, finalize_state, latest_decisions, skip_if_full, whole_run
 from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
+from jaxform.sheet.scheme import open_clamp_of
 from jaxform.sheet.self_contact import stick_folds_of
 from jaxform.sheet.state import Schedule, State, Status, Taken, differentiable_leaves, is_finished
 
@@ -136,7 +137,8 @@ def _windows(
     """Up to `count` windows, until the run is finished."""
 
     def look(state: State) -> tuple[State, Discretization]:
-        return refine(state, scene, present_discretization(scene, state.mesh, first), schedule)
+        state, now = refine(state, scene, present_discretization(scene, state.mesh, first), schedule)
+        return open_clamp_of(state, scene, now), now
 
     def take(state: State) -> State:
         state, now = adjoint.apply_boundary(look)(state)

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.sliding import ContactLosses, LyingNodes, ToolEnergies, lying_nodes, slide_nodes, split_by_tool
-from jaxform.kernels.blocks import materialize
+from jaxform.kernels.blocks import lax_cond_once, materialize
+from jaxform.kernels.derivatives import save_decision
 from jaxform.loads import Loading
 from jaxform.mechanics import membrane
 from jaxform.mechanics.constitutive import present_memory
@@ -23,7 +24,7 @@ from jaxform.model.scene import Scene
 from jaxform.sheet.active_set import ActiveSet, active_set_of
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.energy_balance import enclosed_volume, last_work, present_pressure
-from jaxform.sheet.state import PackedState, State
+from jaxform.sheet.state import PackedState, State, clamp_is_open, initial_node_state
 from jaxform.tools.mold import tool_velocity
 
 WindowTiming = tuple[jax.Array, jax.Array, jax.Array]
@@ -170,39 +171,44 @@ def synchronize_velocity(
         active: What of it can move, and maybe more; found here by default, differentiably.
     """
     active = active or active_set_of(state, scene, discrete, differentiable=True)
-    packed = active.pack_state(state)
     volume = enclosed_volume(state.nodes.positions, discrete.sheet)
-    pressed = present_pressure(state, scene, volume)
+    done = _synchronize(active.pack_state(state), scene, active, volume)
+    new = dataclasses.replace(state, control=done.control, account=done.account)
+    return new.replace_nodes(velocities=active.packed.unpack(done.nodes.velocities))
+
+
+def _synchronize(packed: PackedState, scene: Scene, active: ActiveSet, volume: jax.Array) -> PackedState:
+    """`synchronize_velocity` of a state in packed order, which encloses a volume [m^3]."""
+    control, account = packed.control, packed.account
+    pressed = present_pressure(packed, scene, volume)
     nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
     nodal = _present_force(packed, scene, active, pressed.pressure)
-    velocities, losses = update_velocity(
-        nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping
-    )
-    work, by_tool = state.account.tool_work, state.account.by_tool
+    velocities, losses = update_velocity(nodal, packed.nodes.velocities, nodes, 0.5 * control.step_length, damping)
+    work, by_tool = account.tool_work, account.by_tool
     if work is not None:
         before = packed.nodes.velocities
         velocities, held, done = apply_tool_velocity(
-            nodal, (before, velocities), nodes, packed.nodes.wall, 0.5 * state.control.step_length, before
+            nodal, (before, velocities), nodes, packed.nodes.wall, 0.5 * control.step_length, before
         )
         by_tool = add_by_tool(by_tool, scene, packed.nodes.tool, done)
         work, losses = work + jnp.sum(done), None if losses is None else jnp.where(held, 0.0, losses)
-    account, lost = state.account, 0.0 if losses is None else jnp.sum(losses)
+    lost = 0.0 if losses is None else jnp.sum(losses)
     friction, impact = account.friction_loss, account.contact_loss
     if friction is not None:
-        velocities, slid, lies = _synchronize_slip(packed, scene, active, nodal, velocities, state)
+        velocities, slid, lies = _synchronize_slip(packed, scene, active, nodal, velocities)
         lost = 0.0 if losses is None else jnp.sum(jnp.where(lies, slid.damping, losses))
         friction, impact = friction + jnp.sum(slid.friction), impact + jnp.sum(slid.impact)
         work = None if work is None else work + jnp.sum(slid.work)
         by_tool = add_by_tool(by_tool, scene, packed.nodes.tool, slid.work, slid.friction)
-    return dataclasses.replace(
-        state,
-        nodes=dataclasses.replace(state.nodes, velocities=active.packed.unpack(jnp.stack(velocities))),
-        control=dataclasses.replace(state.control, step_length=jnp.zeros_like(state.control.step_length)),
+    made = dataclasses.replace(
+        packed,
+        nodes=dataclasses.replace(packed.nodes, velocities=jnp.stack(velocities)),
+        control=dataclasses.replace(control, step_length=jnp.zeros_like(control.step_length)),
         account=dataclasses.replace(
             account,
             volume=volume,
             load_state=None if account.load_state is None else pressed,
-            external_work=account.external_work + last_work(state, scene, volume),
+            external_work=account.external_work + last_work(packed, scene, volume),
             damping_loss=account.damping_loss + lost,
             friction_loss=friction,
             contact_loss=impact,
@@ -211,6 +217,55 @@ def synchronize_velocity(
             rim=None if account.rim is None else jnp.zeros_like(account.rim),
         ),
     )
+    return PackedState(made)
+
+
+def open_clamp_of(state: State, scene: Scene, discrete: Discretization) -> State:
+    """`open_clamp` of a state in the mesh's order."""
+    if scene.parison.clamp_until is None:
+        return state
+
+    def open_now(state: State) -> State:
+        active = active_set_of(state, scene, discrete, differentiable=True)
+        return active.unpack_state(open_clamp(active.pack_state(state), scene, active, differentiable=True))
+
+    freed = save_decision(jnp.any(_freed_nodes(state, scene, discrete.compliance)))
+    return lax_cond_once(freed, open_now, state, differentiable=True)
+
+
+def open_clamp(state: PackedState, scene: Scene, active: ActiveSet, *, differentiable: bool = False) -> PackedState:
+    """The state at a window boundary, in which clamped nodes are free from the time on at which the clamp opens.
+
+    They begin at rest. One that was in contact with a tool at rest from the start is held by that from now on.
+    """
+    if scene.parison.clamp_until is None:
+        return state
+    freed = save_decision(_freed_nodes(state, scene, active.compliance) & active.packed.exists)
+    node = active.packed.node if state.mesh is None else state.mesh.node[active.packed.node]
+
+    def open_now(state: PackedState) -> PackedState:
+        state = _synchronize(state, scene, active, active.volume(state.nodes.positions))
+        nodes = state.nodes
+        stuck, since, wall, tool = initial_node_state(scene, node, opened=True)
+        new = dataclasses.replace(
+            nodes,
+            stuck=jnp.where(freed, stuck, nodes.stuck),
+            contact_time=jnp.where(freed, jnp.where(since < 0.0, since, state.time), nodes.contact_time),
+            wall=jnp.where(freed, wall, nodes.wall),
+            tool=None if nodes.tool is None or tool is None else jnp.where(freed, tool, nodes.tool),
+        )
+        # The fastest mode of the sheet may be another from now on.
+        control = dataclasses.replace(state.control, sharpness=jnp.zeros_like(state.control.sharpness))
+        return PackedState(dataclasses.replace(state, nodes=new, control=control))
+
+    return lax_cond_once(jnp.any(freed), open_now, state, differentiable=differentiable)
+
+
+def _freed_nodes(state: State, scene: Scene, compliance: jax.Array) -> jax.Array:
+    """Nodes (n,) that the clamp still holds when it opens, of this compliance (3, n) [1/kg]."""
+    nodes = state.nodes
+    held = nodes.stuck & (nodes.wall == 0) & (nodes.contact_time == 0.0) & jnp.any(compliance > 0.0, axis=0)
+    return held & clamp_is_open(state, scene)
 
 
 def add_by_tool(
@@ -227,16 +282,16 @@ def add_by_tool(
 
 
 def _synchronize_slip(
-    packed: PackedState, scene: Scene, active: ActiveSet, nodal: Any, free: Any, state: State
+    packed: PackedState, scene: Scene, active: ActiveSet, nodal: Any, free: Any
 ) -> tuple[membrane.Vector, ContactLosses, jax.Array]:
     """The velocities, where those as if nothing were touched are free; the losses of nodes that lie on tools; which do.
 
     They are held by the tools in this half step, too, but do not move.
     """
-    own, half = packed.nodes, 0.5 * state.control.step_length
+    own, half = packed.nodes, 0.5 * packed.control.step_length
     lies = lying_nodes(own.stuck, own.wall)
     lying = LyingNodes.of(own, free, nodal, (active.mass, active.compliance), lies)
-    frames = scene.frames(state.time - state.control.step_length, state.time)
+    frames = scene.frames(packed.time - packed.control.step_length, packed.time)
     steps = half, jnp.zeros_like(half)
     slid = slide_nodes(lying, steps, scene.surfaces, frames, scene.solver.damping, differentiable=True)
     return slid.velocities, slid.losses, lies

@@ -16,6 +16,7 @@ from jaxform.loads import LoadState
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Nodes
 from jaxform.model.scene import Scene
+from jaxform.model.tables import SLACK
 from jaxform.sheet.discretization import RefinedMesh
 from jaxform.sheet.heat import ThermalState
 
@@ -246,9 +247,14 @@ PackedState = NewType("PackedState", State)
 
 
 def initial_node_state(
-    scene: Scene, node: jax.Array | None = None
+    scene: Scene, node: jax.Array | None = None, *, opened: jax.Array | bool = False
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
     """Initial state of these nodes (n,), or of all: immobile nodes and nodes in contact with the mold are stuck.
+
+    Args:
+        scene: The scene.
+        node: Their numbers; None for all nodes.
+        opened: Whether the clamp is open, where it opens at some time: what it held is then as all other nodes.
 
     Returns:
         `stuck`, `contact_time` [s], `wall` and `tool`, as in `Nodes`.
@@ -258,6 +264,9 @@ def initial_node_state(
         mobility, lying = mobility[:, node], None if lying is None else lying[node]
         tool = None if tool is None else tool[node]
     held = jnp.all(mobility == 0.0, axis=0)
+    if scene.parison.clamp_until is not None:
+        clamped = scene.parison.clamped if node is None else scene.parison.clamped[node]
+        held |= clamped & ~jnp.asarray(opened)
     time = jnp.where(held, 0.0, as_real(-1.0))
     if len(scene.surfaces) > 1 and tool is None:
         tool = jnp.zeros(held.size, jnp.int32)
@@ -282,6 +291,20 @@ def noise_vector(positions: jax.Array) -> jax.Array:
     return (mixed >> 8).astype(positions.dtype) / 2**23 - 1.0
 
 
+def clamp_is_open(state: State, scene: Scene) -> jax.Array:
+    """True from the window boundary on at which the clamp opens, where it does at some time."""
+    until = scene.parison.clamp_until
+    if until is None:
+        return jnp.asarray(False)
+    return state.time + SLACK * state.control.last_length >= until
+
+
+def next_stop(state: State, scene: Scene) -> jax.Array:
+    """The time [s] at which the run ends, or before that the clamp opens: no window goes beyond it."""
+    end, until = scene.solver.end_time, scene.parison.clamp_until
+    return end if until is None else jnp.where(clamp_is_open(state, scene), end, jnp.minimum(end, until))
+
+
 def is_finished(state: State, scene: Scene) -> jax.Array:
     """True where the end is reached, nothing can move, or an error was detected."""
     slack = 16 * jnp.finfo(state.time.dtype).eps
@@ -301,10 +324,12 @@ def immobile_nodes(state: State, scene: Scene) -> jax.Array:
 
     A node rests with its tool from the step after the tool's last on. Times decide that, not velocities or
     displacements, which may be designed; and a window may end where the tool does: a knot that is a little later
-    decides the same.
+    decides the same. A node that the clamp holds does not rest before that has been opened.
     """
-    nodes = state.nodes
+    nodes, until = state.nodes, scene.parison.clamp_until
     immobile = nodes.stuck
+    if until is not None:
+        immobile = immobile & ((nodes.wall != 0) | (state.time >= until + state.control.last_length))
     for number, surface in enumerate(scene.surfaces):
         motion = surface.mold.motion
         if motion is not None:

@@ -12,6 +12,7 @@ from jaxform.io.validation import Length, Positive, Table, choice, declared_rang
 from jaxform.mesh.shapes import parse_plane
 
 Stretch = Annotated[float, declared_range("parison.pre_stretch")]
+ClampUntil = Annotated[float, declared_range("parison.clamp_until")]
 
 
 def _given_elsewhere(given: Any) -> Any:
@@ -42,10 +43,13 @@ class _Sheet(Table):
     Attributes:
         mesh: A mesh file of this sheet instead of its own triangles, as `jaxform adapt` writes it.
         adapt: Adaptation of the mesh to the wall before the run; `{}` for the defaults.
+        clamp_until: Time [s] at which the clamp opens: the clamped nodes are free from then on. It holds them to the end
+            by default.
     """
 
     mesh: str | None = None
     adapt: Adapt | None = None
+    clamp_until: ClampUntil | None = None
 
 
 class _BuiltIn(_Sheet):

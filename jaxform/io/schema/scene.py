@@ -316,6 +316,7 @@ class SceneFile(Table):
     def _check_drive(self) -> SceneFile:
         motions = [table.motion for table in (self.mold, *self.tool) if table is not None]
         moves = self.gas is not None or any(motion is not None for motion in motions)
+        moves |= self.parison.clamp_until is not None and getattr(self.parison, "pre_stretch", None) is not None
         if self.pressure is None and self.solver.gravity is None and not moves:
             remedy = "give [pressure], [gas], solver.gravity, [mold.motion] or a [[tool]] that moves"
             raise validation_error("is missing, and nothing else moves the sheet", remedy, "pressure", None)
