@@ -22,7 +22,10 @@ def _disc(stretch: float, elements: int = 40) -> jaxform.Parison:
 
 
 def _scene(parison: jaxform.Parison, damping: float | None, end: float, **parts: Any) -> jaxform.Scene:
-    given = {"pressure": jaxform.make_pressure([0.0], [0.0]), "material": jaxform.NeoHookean(c=2e5, density=1000.0)}
+    given = {
+        "pressure": jaxform.make_pressure([0.0], [0.0]),
+        "material": jaxform.NeoHookean(*map(jnp.asarray, (2e5, 1000.0))),
+    }
     return jaxform.build_scene(
         parison=parison, solver=jaxform.make_solver(end_time=end, damping=damping), **(given | parts)
     )
