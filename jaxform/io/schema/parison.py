@@ -43,8 +43,8 @@ class _Sheet(Table):
     Attributes:
         mesh: A mesh file of this sheet instead of its own triangles, as `jaxform adapt` writes it.
         adapt: Adaptation of the mesh to the wall before the run; `{}` for the defaults.
-        clamp_until: Time [s] at which the clamp opens: the clamped nodes are free from then on. It holds them to the end
-            by default.
+        clamp_until: Time [s] at which the clamp opens: the clamped nodes are free from then on. By default it holds
+            them to the end.
     """
 
     mesh: str | None = None
