@@ -60,7 +60,7 @@ class Objective:
         excess = jax.eval_shape(lambda scene: self.constraints(scene, simulate(scene))[0], scene)
         return jnp.full(excess.shape, self.price)
 
-    def wanted(self, result: Result) -> jax.Array:
+    def target_wall(self, result: Result) -> jax.Array:
         """The wall (n_node,) [m] that a fixed point leads to, where the objective aims at one."""
         raise NotImplementedError
 
@@ -112,7 +112,7 @@ class Target(Objective):
         self._nodal = jnp.asarray(np.broadcast_to(given, (count,)))
         self.nodal = self._nodal if self._profile is None else jnp.asarray(self._profile.value)
 
-    def wanted(self, result: Result) -> jax.Array:
+    def target_wall(self, result: Result) -> jax.Array:
         """The target at the nodes (n_node,) [m]."""
         if self._profile is None:
             return self._nodal
@@ -129,7 +129,7 @@ class Target(Objective):
         """Relative deviation at the nodes (n_node,), times the root of their share of the formed area."""
         weight = nodal_area(result)
         share = jnp.where(weight > 0, weight, 1.0) / jnp.sum(weight)
-        relative = result.thickness / self.wanted(result) - 1.0
+        relative = result.thickness / self.target_wall(result) - 1.0
         return jnp.where(weight > 0, jnp.sqrt(share) * relative, 0.0)
 
     def _square(self, scene: Scene, result: Result) -> jax.Array:
@@ -163,7 +163,7 @@ class Uniform(Objective):
         relative = result.element_thickness / jnp.sum(share * result.element_thickness) - 1.0
         return jnp.where(result.used, jnp.sqrt(jnp.where(result.used, share, 1.0)) * relative, 0.0)
 
-    def wanted(self, result: Result) -> jax.Array:
+    def target_wall(self, result: Result) -> jax.Array:
         """The mean wall (n_node,) [m]."""
         area = formed_area(result)
         mean = jnp.sum(area * result.element_thickness) / jnp.sum(area)
@@ -208,7 +208,7 @@ class LeastMass(Objective):
         excess = jnp.where(result.used, 1.0 - result.element_thickness / self.minimum, -1.0)
         return excess, jnp.where(result.used, 1.0, 0.0) / jnp.sum(result.used)
 
-    def wanted(self, result: Result) -> jax.Array:
+    def target_wall(self, result: Result) -> jax.Array:
         """The minimum (n_node,) [m]."""
         return jnp.full_like(result.thickness, self.minimum)
 
@@ -288,9 +288,9 @@ class Weighted(Objective):
         """Multipliers of all parts, times their weights."""
         return jnp.concatenate([weight * part.first_multipliers(scene) for weight, part in self.parts])
 
-    def wanted(self, result: Result) -> jax.Array:
+    def target_wall(self, result: Result) -> jax.Array:
         """Wanted thickness of the first objective that has one."""
-        return next(part for _, part in self.parts if part.aims).wanted(result)
+        return next(part for _, part in self.parts if part.aims).target_wall(result)
 
     def error(self, scene: Scene, result: Result) -> jax.Array:
         """Deviation of the first objective with a target; NaN without one."""

@@ -156,8 +156,8 @@ class Search:
             there = result.active & (result.thickness > 0)
             if scene.part is not None:
                 there &= nodal_area(result) > 0
-            wanted = self.study.objective.wanted(result) / jnp.where(there, result.thickness, 1.0)
-            report["ratio"] = jax.lax.stop_gradient(jnp.where(there, wanted, 1.0))
+            ratio = self.study.objective.target_wall(result) / jnp.where(there, result.thickness, 1.0)
+            report["ratio"] = jax.lax.stop_gradient(jnp.where(there, ratio, 1.0))
         return value, report | wall(result)
 
     def _value(

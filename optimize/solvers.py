@@ -88,7 +88,7 @@ class Design:
     starts: list[Row] = field(default_factory=list)
     first_row: Row | None = None
 
-    def amended(self, summary: dict[str, Any]) -> dict[str, Any]:
+    def amend_summary(self, summary: dict[str, Any]) -> dict[str, Any]:
         """The summary of the part and the search: broken limits, warnings, and its facts."""
         status = summary["status"]
         if self.broken:

@@ -40,7 +40,7 @@ _FLAGS = (
 _PATIENCE = 60.0  # seconds until an answer is missed
 
 
-def found() -> str | None:
+def find_browser() -> str | None:
     """The path of a Chromium or Chrome on this machine; None where there is none."""
     return next((path for name in _NAMES if (path := shutil.which(name))), None)
 
@@ -143,7 +143,7 @@ class Browser:
 @contextlib.contextmanager
 def browser(folder: Path, width: int = 1280, height: int = 900, dark: bool = False) -> Iterator[Browser]:
     """A page in a browser that keeps its files in a folder, until it is left."""
-    path = found()
+    path = find_browser()
     assert path is not None
     asked_there, asked = os.pipe()
     answers, answers_there = os.pipe()

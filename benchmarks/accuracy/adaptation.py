@@ -83,7 +83,7 @@ def time_of_uniform(rows: list[Row], error: float, kind: str = "nodal thickness"
 
 CUPS = {
     "cup": Cup(cases.mooney(0.0), 0.8, 40.0, "cup-at-40"),
-    "deep": Cup(cases.modified(2.2e-6 / 0.143), 1.2, 30.0, "deep-cup-at-30"),
+    "deep": Cup(cases.paper_law(2.2e-6 / 0.143), 1.2, 30.0, "deep-cup-at-30"),
 }
 
 

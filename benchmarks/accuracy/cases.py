@@ -51,7 +51,7 @@ def mooney(alpha: float) -> jaxform.MooneyRivlin:
     return jaxform.MooneyRivlin(real(1.0), real(alpha), real(1.0))
 
 
-def modified(a02: float) -> jaxform.ModifiedMooneyRivlin:
+def paper_law(a02: float) -> jaxform.ModifiedMooneyRivlin:
     """The paper's law (Eq. 13) with A01 = 1 and density 1."""
     return jaxform.ModifiedMooneyRivlin(real(1.0), real(a02), real(1.0))
 
@@ -205,7 +205,7 @@ def show_static_sphere(elements: int) -> Measured:
     laws = {
         "neo-Hookean, stretch 1.2": (jaxform.NeoHookean(real(1.0), real(1.0)), 1.2),
         "Mooney-Rivlin, alpha 0.5, stretch 1.8": (mooney(0.5), 1.8),
-        "the paper's modified law, stretch 1.2": (modified(0.01), 1.2),
+        "the paper's modified law, stretch 1.2": (paper_law(0.01), 1.2),
     }
     found = {}
     for name, (law, stretch) in laws.items():
@@ -354,7 +354,7 @@ def show_cup(elements: int) -> Measured:
 
 def show_deep_cup(elements: int) -> Measured:
     """The dish's sheet of high-impact polystyrene into its cup of 80 degrees, 1.2 radii deep, at P = 30 A01 h0/a."""
-    scene = cup_scene(elements, modified(2.2e-6 / 0.143), 1.2, DEEP_CORNER, 30.0)
+    scene = cup_scene(elements, paper_law(2.2e-6 / 0.143), 1.2, DEEP_CORNER, 30.0)
     return cup_errors(scene, "deep-cup-at-30")
 
 

@@ -163,7 +163,7 @@ def _front(rows: list[Found]) -> list[str]:
         if r not in better and r["error"] < 1.02 * default["error"] and r["seconds"] < 0.9 * default["seconds"]
     ]
 
-    def named(runs: list[Found]) -> str:
+    def describe_runs(runs: list[Found]) -> str:
         return "; ".join(
             f"{r['group']} {r['label']} ({r['error']:.2f} %, {r['seconds'] / default['seconds']:.2f} of the time)"
             for r in runs
@@ -171,11 +171,13 @@ def _front(rows: list[Found]) -> list[str]:
 
     lines = ["No run of these is both faster and more accurate than the default.\n"]
     if better:
-        lines = [f"Faster and more accurate than the default, by more than two per cent in both: {named(better)}.\n"]
+        lines = [
+            f"Faster and more accurate than the default, by more than two per cent in both: {describe_runs(better)}.\n"
+        ]
     if alike:
         reasons = [_WHY_NOT[group] for group in dict.fromkeys(r["group"] for r in alike) if group in _WHY_NOT]
         lines.append(
-            f"As accurate to two per cent, and more than a tenth faster: {named(alike)}."
+            f"As accurate to two per cent, and more than a tenth faster: {describe_runs(alike)}."
             + (f" No defaults, since {' and '.join(reasons)}." if reasons else "")
             + "\n"
         )

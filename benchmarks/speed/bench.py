@@ -289,7 +289,7 @@ def show_parts(window: int = 20) -> Table:
     def border(state: PackedState, scene: jaxform.Scene, active: ActiveSet) -> Any:
         return windows.window_in_place(state, with_windows_of(1, scene), active)
 
-    def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:
+    def list_pairs(state: State, scene: jaxform.Scene, _: Any) -> Any:
         assert scene.tables.grid is not None
         return candidates.list_candidates(
             state.nodes.positions,
@@ -309,7 +309,7 @@ def show_parts(window: int = 20) -> Table:
         "nothing": (lambda state, *_: state.nodes.positions[0, 0], scene),
         "pack what can move": (lambda state, scene, _: _pack_scene(state, scene, body), scene),
         "choose the step": (timestep.choose_step, scene),
-        "list the nodes near the mold": (listed, scene),
+        "list the nodes near the mold": (list_pairs, scene),
         "energy account": (balance, scene),
         "window": (windows.window_in_place, scene),
         "window without contact": (windows.window_in_place, free),

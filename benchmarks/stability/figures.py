@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxform
-from benchmarks.accuracy.cases import modified, mooney, real, scene_of
+from benchmarks.accuracy.cases import mooney, paper_law, real, scene_of
 from benchmarks.pages import DOCS, Found, read_figures, store_figures
 from benchmarks.stability import page, pinch, slopes, stress
 from benchmarks.stability.random_scenes import FURTHER, NAMES, STRANGERS, VISCOUS, family_of
@@ -63,7 +63,7 @@ def sheets() -> dict[str, Sheet]:
 def laws() -> dict[str, Law]:
     """By name, with c = 1 and density 1."""
     found: dict[str, Law] = {"neo-Hookean": jaxform.NeoHookean(real(1.0), real(1.0))}
-    return found | {f"alpha {alpha:g}": mooney(alpha) for alpha in (0.0, 0.1, 0.3, 0.5)} | {"modified": modified(0.01)}
+    return found | {f"alpha {alpha:g}": mooney(alpha) for alpha in (0.0, 0.1, 0.3, 0.5)} | {"modified": paper_law(0.01)}
 
 
 def edge_scene(sheet: Sheet, law: Law, *, sudden: bool, ratio: float, pressure: float, end: float) -> Scene:
@@ -186,7 +186,7 @@ def _span(values: list[float]) -> str:
 # --- Energy over a million steps --------------------------------------------------------------------------------------
 
 
-def undamped() -> dict[str, tuple[str, Law, float]]:
+def undamped_cases() -> dict[str, tuple[str, Law, float]]:
     """Sheets that a sudden pressure lets swing, undamped: shape, material model, pressure."""
     laws: dict[str, Law] = {"neo-Hookean": mooney(0.0), "alpha 0.1": mooney(0.1), "Yeoh": yeoh()}
     pressures = {"neo-Hookean": 0.01, "alpha 0.1": 0.02, "Yeoh": 0.04}
@@ -233,7 +233,7 @@ def measure_drift(scene: Scene, steps: int, points: int = 200) -> Found:
 
 def show_drift(steps: int = STEPS) -> Found:
     """Discs and spheres of three material models; the small sphere in both precisions."""
-    found = {name: measure_drift(ringing(steps, *case), steps) for name, case in undamped().items()}
+    found = {name: measure_drift(ringing(steps, *case), steps) for name, case in undamped_cases().items()}
     with jax.enable_x64(False), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found["small sphere, linear range, float32"] = measure_drift(ringing(steps), steps)

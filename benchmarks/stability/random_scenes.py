@@ -94,9 +94,9 @@ def draw(seed: int) -> Drawn:
     name, random = family_of(seed), np.random.default_rng(seed)
     tags: list[str] = []
     if name == "file":
-        return normalised(name, scenes.from_file(random, tags), tags)
+        return normalise(name, scenes.from_file(random, tags), tags)
     if name in scenes.OWN_MESHES:
-        return normalised(name, scenes.own_meshes(name, random, tags), tags)
+        return normalise(name, scenes.own_meshes(name, random, tags), tags)
     return _draw_one(name, FAMILIES[name], random)
 
 
@@ -158,10 +158,10 @@ def _draw_one(name: str, family: Family, random: Generator) -> Drawn:
         name=name,
     )
     scene = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, sharp_step=family.sharp))
-    return normalised(name, scene, tags)
+    return normalise(name, scene, tags)
 
 
-def normalised(name: str, scene: jaxform.Scene, tags: list[str]) -> Drawn:
+def normalise(name: str, scene: jaxform.Scene, tags: list[str]) -> Drawn:
     """The scene in its family's static shape, shortened where it would take too many windows."""
     planned = scene.tables.window_count
     if planned > WINDOWS:

@@ -175,14 +175,14 @@ def lines() -> dict[str, Callable[[], Found]]:
     def uniform(elements: int, replayed: bool) -> Found:
         return along_a_line(cup(elements), replayed=replayed)
 
-    def refined(replayed: bool, at_rest: bool) -> Found:
+    def slopes_at_levels(replayed: bool, at_rest: bool) -> Found:
         return along_a_line(cup(24, finer | {"at_rest": at_rest}), replayed=replayed)
 
     found = {f"{n} elements": functools.partial(uniform, n, False) for n in (24, 96, 384)}
     found["96 elements, replayed"] = functools.partial(uniform, 96, True)
-    found["refined"] = functools.partial(refined, False, True)
-    found["refined, replayed"] = functools.partial(refined, True, True)
-    found["refined, replayed, new nodes in motion"] = functools.partial(refined, True, False)
+    found["refined"] = functools.partial(slopes_at_levels, False, True)
+    found["refined, replayed"] = functools.partial(slopes_at_levels, True, True)
+    found["refined, replayed, new nodes in motion"] = functools.partial(slopes_at_levels, True, False)
     found["box with insert, 494 elements"] = functools.partial(_on_a_box, lambda: box(500))
     found["box with insert, refined"] = functools.partial(_on_a_box, lambda: _fitting("box-insert"))
     return found

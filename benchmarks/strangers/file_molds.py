@@ -217,7 +217,7 @@ def _cone(segments: int) -> trimesh.Trimesh:
     return turn_mesh([[0, 0], [40, 0], [5, 55], [0, 55]], segments)
 
 
-def _stepped(fine: float) -> trimesh.Trimesh:
+def _stepped_cup(fine: float) -> trimesh.Trimesh:
     return turn_mesh([[0, 0], [60, 0], [58, 30], [35, 30], [33, 60], [0, 60]], _count(fine, 96, 24))
 
 
@@ -262,13 +262,13 @@ def _rolled_lip(fine: float) -> trimesh.Trimesh:
     return turn_mesh(np.concatenate([[[0, 0], [20, 0]], lip]), _count(fine, 96, 24))
 
 
-def _skirted(fine: float) -> trimesh.Trimesh:
+def _skirted_cup(fine: float) -> trimesh.Trimesh:
     """A cup in a skirt that hangs from its rim nearly to its foot."""
     line = [[0, 8], [22, 8], [30, 60], [36, 60], [46, 4], [43, 4], [34, 57], [33, 57], [25, 5], [0, 5]]
     return turn_mesh(line, _count(fine, 96, 24))
 
 
-def _slotted(fine: float) -> trimesh.Trimesh:
+def _slotted_cup(fine: float) -> trimesh.Trimesh:
     """A cup with eight upright slots in its wall, between its foot and its rim."""
     segments = 96
     sector = np.arange(segments) % 12
@@ -420,7 +420,7 @@ KINDS: dict[str, Kind] = {
     "dome buck": Kind(
         lambda f: turn_mesh([[0, 0], *_quarter(50.0, _count(f, 60, 12))], _count(f, 160, 24)), suffix="ply"
     ),
-    "stepped buck": Kind(_stepped, unit="inch"),
+    "stepped buck": Kind(_stepped_cup, unit="inch"),
     "box on a platen": Kind(lambda f: _divide(_on_platen(box([-40, -30, 0], [40, 30, 35]), 90.0), 40.0 / f)),
     "cone on a platen": Kind(lambda f: _on_platen(_cone(_count(f, 96, 24)), 90.0)),
     "buck of unshared vertices": Kind(
@@ -442,8 +442,8 @@ KINDS: dict[str, Kind] = {
     "mug in inches": Kind(_mug, unit="inch", suffix="obj"),
     "bowl with two ears": Kind(_two_ears),
     "cup with a rolled lip": Kind(_rolled_lip),
-    "cup with a skirt": Kind(_skirted),
-    "cup with slots": Kind(_slotted),
+    "cup with a skirt": Kind(_skirted_cup),
+    "cup with slots": Kind(_slotted_cup),
     "turned cup of slivers": Kind(lambda f: _slivers(_count(f, 800, 200))),
     "bowl": Kind(_bowl, unit="cm"),
     "open bowl in metres": Kind(_shell_bowl, unit="m", suffix="ply"),

@@ -87,7 +87,7 @@ def show_stress(kill_client: bool) -> dict[str, Any]:
             while True:
                 process = subprocess.Popen([*command, str(folder)])
                 if kill_client and not ends:
-                    while process.poll() is None and len(_recorded(folder)) < DESIGNS // 2:
+                    while process.poll() is None and len(_record_times(folder)) < DESIGNS // 2:
                         time.sleep(0.05)
                     process.kill()
                 ends += 1
@@ -100,7 +100,7 @@ def show_stress(kill_client: bool) -> dict[str, Any]:
         sweep(alone, one, 0.0)
         found, serial = _rows(folder), _rows(alone)
         times = {number: _starts(folder, number) for number in range(DESIGNS)}
-        recorded = _recorded(folder)
+        recorded = _record_times(folder)
     again = [number for number in range(DESIGNS) if any(moment > recorded[number] for moment in times[number])]
     failed = [row for row in found if row["status"] != "ok"]
     return {
@@ -153,7 +153,7 @@ def _starts(folder: Path, number: int) -> list[float]:
     return [float(line) for line in path.read_text().split()] if path.exists() else []
 
 
-def _recorded(folder: Path) -> dict[int, float]:
+def _record_times(folder: Path) -> dict[int, float]:
     """When each design was recorded first."""
     path = folder / "recorded.log"
     found: dict[int, float] = {}

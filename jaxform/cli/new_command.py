@@ -182,7 +182,7 @@ def _lines(made: Draft) -> Iterator[str]:
         f"guessed: thickness {1e3 * made.thickness:.3g} mm, {made.pressure:.3g} Pa within {made.ramp:.3g} s; "
         "the material is a placeholder"
     )
-    if made.limited:
+    if made.is_limited:
         yield f"{scene_text.vacuum_text(made)} (--process pressure)"
 
 

@@ -178,7 +178,7 @@ def _write_design(arguments: argparse.Namespace, study: Any, design: Any, refere
 
     history = process.process_history(design.scene, design.result)
     picture = session.picture(arguments, design.scene, design.result, exact, history)
-    session.write_part(arguments, design.scene, design.result, picture, design.amended, then=write_rest)
+    session.write_part(arguments, design.scene, design.result, picture, design.amend_summary, then=write_rest)
     plots.convergence_picture(folder / "convergence.png", design.history)
     before, after = (design.first_scene, design.first_result), (design.scene, design.result)
     plots.design_picture(folder / "design.png", before, after, study.objective.uniform)

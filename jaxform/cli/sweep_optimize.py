@@ -76,7 +76,9 @@ def optimize_design(task: tuple[SceneDocument, Setting, tuple[str, Path, dict[st
 def _write_files(folder: Path, document: SceneDocument, design: Any, warned: list[str]) -> dict[str, Any]:
     """Writes what `jaxform optimize` writes, but for its pictures; returns the summary."""
     scene_rewriting.write_scene(document, design.changes, folder)
-    summary = output.write_result(design.scene, design.result, folder, list(dict.fromkeys(warned)), design.amended)
+    summary = output.write_result(
+        design.scene, design.result, folder, list(dict.fromkeys(warned)), design.amend_summary
+    )
     output.write_part(design.first_scene, design.first_result, folder / "start.vtu")
     optimize.write_history(folder / "history.csv", design.history)
     output.write_json(folder / "design.json", design.summary())

@@ -249,7 +249,7 @@ class Draft:
         return 2 * self._tension / ((_RE_ENTRANT if folds else _CORNER) * self.element_size)
 
     @property
-    def limited(self) -> bool:
+    def is_limited(self) -> bool:
         """True if a vacuum has less than the pressure that fills the corners."""
         return self.pressure == self._most
 

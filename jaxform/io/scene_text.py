@@ -177,7 +177,7 @@ def _pressure(made: Draft) -> list[str]:
 
 def _filling_comments(made: Draft) -> list[str]:
     """Comments on the corners that the pressure fills."""
-    if made.limited:
+    if made.is_limited:
         return [f"# {vacuum_text(made).capitalize()}.", "# --process pressure has no such limit."]
     if made.slit is not None:
         return [

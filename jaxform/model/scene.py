@@ -57,7 +57,7 @@ class Parison:
     clamp_until: jax.Array | None = None
     guided: tuple[int, ...] = static(default=())
 
-    def unstretched(self, positions: ArrayLike) -> np.ndarray:
+    def remove_pre_stretch(self, positions: ArrayLike) -> np.ndarray:
         """Positions (n, 3) [m] of initial positions (n, 3) [m] before the pre-stretch; on the host."""
         places = np.asarray(positions, float)
         return places if self.pre_stretch is None else places / np.append(np.asarray(self.pre_stretch, float), 1.0)

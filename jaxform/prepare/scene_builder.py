@@ -173,7 +173,7 @@ def build_scene(
     grid = grids[0] if mold is not None else None
     component_validation.check_gas(pressure, volumes.enclosed_volume(positions, triangles))
     sheet = _reference_sheet(parison, pressure)
-    rest = parison.unstretched(positions)
+    rest = parison.remove_pre_stretch(positions)
     bound = as_real(volumes.shape_bound(rest, triangles))
     held = np.asarray(parison.fixed)
     if parison.clamp_until is None:
@@ -194,7 +194,7 @@ def build_scene(
             )
         )
         refinement = reserve_capacity(refinement, forest, fine)
-        of_forest = parison.unstretched(forest.positions)
+        of_forest = parison.remove_pre_stretch(forest.positions)
         grown = pack_forest(forest, refinement, sheet, mobility, bend, fine, of_forest)
         bound = grown.bound
     cold, change = component_validation.coldest_temperature(parison, cooling, solver, material, surfaces)
@@ -375,7 +375,7 @@ def _release_from_moving_tools(
 
 def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:
     triangles = np.asarray(parison.triangles)
-    inverse, area = volumes.reference_metric(parison.unstretched(parison.positions), triangles)
+    inverse, area = volumes.reference_metric(parison.remove_pre_stretch(parison.positions), triangles)
     # A component that only a symmetry plane fixes defines where that plane is; the volume is counted from there.
     on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
     places = np.asarray(parison.positions)

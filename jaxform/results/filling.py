@@ -45,7 +45,7 @@ class Filling(NamedTuple):
     left: Gap
 
     @property
-    def unfilled(self) -> bool:
+    def is_unfilled(self) -> bool:
         """True if a fifth of the opening's depth or more is left open."""
         return self.left.width > 0.0
 
@@ -196,7 +196,7 @@ def warnings_of_filling(result: Result, scene: Scene, filling: Filling) -> list[
     if (
         mold is None
         or gap.element < 0
-        or filling.unfilled
+        or filling.is_unfilled
         or int(result.status) & ~(Status.UNBALANCED | Status.UNFILLED)
     ):
         return []

@@ -406,6 +406,6 @@ def add_filling(result: Result, scene: Scene) -> Result:
     if result.filling is not None:
         return result
     filling = measure_filling(result, scene)
-    short = scene.fill and filling.unfilled and not int(result.status) & ~Status.UNBALANCED
+    short = scene.fill and filling.is_unfilled and not int(result.status) & ~Status.UNBALANCED
     status = result.status | Status.UNFILLED if short else result.status
     return dataclasses.replace(result, filling=filling, status=status)

@@ -85,7 +85,7 @@ def sweep(
     if left:
         pool, own = _pool(executor, workers, len(left))
         setting = worker_setting(shared=own)
-        arguments = [(function, _sent(designs[place], given[place]), setting) for place in left]
+        arguments = [(function, _worker_message(designs[place], given[place]), setting) for place in left]
         try:
             for place, outcome in evaluate(call_function, arguments, pool):
                 finish(left[place], outcome)
@@ -121,7 +121,7 @@ def _designs(given: Sequence[Any], scene: str | Path | None, about: str) -> list
     ]
 
 
-def _sent(design: DesignRow, given: Any) -> Any:
+def _worker_message(design: DesignRow, given: Any) -> Any:
     """The message to a worker for a design: its document, or the scene that was given."""
     return pack_scene(given) if design.document is None else design.document
 

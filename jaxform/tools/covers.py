@@ -64,10 +64,10 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
     sides = [] if found.male else close_sides(behind, closed)
     parts = [*fans, *curtain, *patches, *sides]
     if not parts:
-        return Covers(None, 0, 0.0, 0, behind.hidden)
+        return Covers(None, 0, 0.0, 0, behind.hidden_ratio)
     joined = meshes.merge(parts)
     mesh = Mesh(joined.positions @ found.view.turn, joined.triangles)
-    return Covers(mesh, len(fans) + len(patches) + len(sides), length, len(sides), behind.hidden)
+    return Covers(mesh, len(fans) + len(patches) + len(sides), length, len(sides), behind.hidden_ratio)
 
 
 def _fans(turned: Array, triangles: Integers, found: Opening, size: float) -> list[Mesh]:

@@ -294,7 +294,7 @@ class CellGrid:
         return self.seen & neighbour_cells(self.outside)
 
     @property
-    def hidden(self) -> float:
+    def hidden_ratio(self) -> float:
         """Ratio of the hidden to the visible volume of air behind the sheet."""
         part, count = label_cells(~self.wall & ~self.seen & ~self.outside)
         met = np.zeros(count + 1, bool)

@@ -44,7 +44,7 @@ class Problem:
         self.slices: list[tuple[Table, str, slice]] = []
         measured, scale, used = [], [], []
         for table in self.tables:
-            for name, values in table.measured.items():
+            for name, values in table.measured_columns.items():
                 begin = sum(map(len, measured))
                 self.slices.append((table, name, slice(begin, begin + len(values))))
                 measured.append(values)

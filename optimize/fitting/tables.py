@@ -63,7 +63,7 @@ class Pull:
     time: Array | None
 
     @property
-    def measured(self) -> dict[str, Array]:
+    def measured_columns(self) -> dict[str, Array]:
         """The measured columns that a fit is compared with, by name."""
         return {"stress": self.stress}
 
@@ -93,7 +93,7 @@ class Bubble:
     kind: str = field(default="bubble", init=False)
 
     @property
-    def measured(self) -> dict[str, Array]:
+    def measured_columns(self) -> dict[str, Array]:
         """The measured columns that a fit is compared with, by name."""
         more = {} if self.thickness is None else {"thickness": self.thickness}
         return {"pressure": self.pressure, **more}
@@ -124,12 +124,12 @@ def read_table(source: str) -> Table:
 def _split(source: str) -> tuple[str, Path]:
     """The kind that is written before a path, and the path."""
     before, _, after = source.partition("=")
-    if after and known(before):
-        return known(before), expand_path(after)
+    if after and recognize_kind(before):
+        return recognize_kind(before), expand_path(after)
     return "", expand_path(source)
 
 
-def known(word: str) -> str:
+def recognize_kind(word: str) -> str:
     """The kind of test that a word names; empty for none."""
     word = word.strip().lower().replace("_", "-")
     return _ALSO.get(word, word if word in KINDS else "")
@@ -140,13 +140,13 @@ def _kind(path: Path, columns: dict[str, Array], settings: dict[str, str]) -> st
         f"write it before the path, as in uniaxial={path.name}, or in a line `# kind = ...`; types: {', '.join(KINDS)}"
     )
     if "kind" in settings:
-        if not known(settings["kind"]):
+        if not recognize_kind(settings["kind"]):
             raise InputError("is not a type of test", remedy, "kind", settings["kind"])
-        return known(settings["kind"])
+        return recognize_kind(settings["kind"])
     if {"pressure", "height"} <= set(columns):
         return "bubble"
     stem = path.stem.lower().replace("_", "-")
-    found = {known(word) for word in (*KINDS, *_ALSO) if word in stem and word != "tension"}
+    found = {recognize_kind(word) for word in (*KINDS, *_ALSO) if word in stem and word != "tension"}
     # The others are tension too.
     found = found or ({"uniaxial"} if "tension" in stem else set())
     if len(found) != 1:
@@ -245,7 +245,7 @@ def _setting(settings: dict[str, str], key: str) -> float:
 
 
 def _pull(name: str, kind: str, columns: dict[str, Array], settings: dict[str, str]) -> Pull:
-    state = known(settings.get("state", "uniaxial")) if kind == "relaxation" else kind
+    state = recognize_kind(settings.get("state", "uniaxial")) if kind == "relaxation" else kind
     if state not in STATES:
         raise InputError("is not a stress state", f"use {', '.join(STATES)}", "state", settings["state"])
     stretch = _stretch(name, columns, settings)

@@ -75,13 +75,13 @@ def test_a_sheet_on_its_new_mesh(name: str) -> None:
             )
     assert made.guided == sheet.guided
     rim, edge = topology.boundary_edges(made.triangles), topology.boundary_edges(sheet.triangles)
-    held, was_held = _held(made, rim), _held(sheet, edge)
+    held, was_held = _constraint_lengths(made, rim), _constraint_lengths(sheet, edge)
     assert sorted(held) == sorted(was_held)
     for kind, length in was_held.items():
         assert held[kind] == pytest.approx(length, rel=1e-9 if name in FLAT else 0.01), kind
 
 
-def _held(sheet: Sheet, edge: np.ndarray) -> dict[tuple[bool, ...], float]:
+def _constraint_lengths(sheet: Sheet, edge: np.ndarray) -> dict[tuple[bool, ...], float]:
     """Length of the boundary that is held in each way [m]."""
     ways = np.concatenate([sheet.clamped[:, None], sheet.fixed], axis=1)[edge].all(1)
     length = np.linalg.norm(sheet.positions[edge[:, 1]] - sheet.positions[edge[:, 0]], axis=1)

@@ -53,7 +53,9 @@ def live(scene: Scene) -> Result:
     return jax.jit(jaxform.simulate)(scene)
 
 
-def grown(scene: Scene, seed: int) -> tuple[State, State, discretization.Discretization, discretization.Discretization]:
+def bisect_at_random(
+    scene: Scene, seed: int
+) -> tuple[State, State, discretization.Discretization, discretization.Discretization]:
     """A state moved and set in motion at random, and the same with elements bisected at random, three times."""
     random = np.random.default_rng(seed)
     thickness = np.asarray(scene.parison.thickness) * random.uniform(0.5, 1.5, scene.parison.thickness.size)
@@ -109,7 +111,7 @@ def test_new_nodes_keep_mass_and_in_flight_momentum_whatever_the_thickness(seed:
     # Nothing clamped and no mold: a sphere. Its new nodes lie on it, beyond their edges.
     sheet = jaxform.shapes.sphere(radius=1.0, elements=32, symmetry="none")
     scene = scenes.refinable(sheet, 200)
-    before, after, first, now = grown(scene, seed)
+    before, after, first, now = bisect_at_random(scene, seed)
     assert before.mesh is not None and after.mesh is not None
     assert int(after.mesh.element_count) > int(before.mesh.element_count) == 32
     assert scene.tables.forest is not None
@@ -267,7 +269,7 @@ def test_a_run_refines_balances_and_is_what_simulate_gives(scene: Scene, live: R
 
 
 @jax.jit
-def replayed(share: jax.Array, way: jax.Array, scene: Scene, schedule: Schedule) -> tuple[jax.Array, Result]:
+def replay_unevenness(share: jax.Array, way: jax.Array, scene: Scene, schedule: Schedule) -> tuple[jax.Array, Result]:
     """How uneven the wall is when the replayed sheet is so much thicker; and the part."""
     changed = jaxform.replace(scene, {"parison.thickness": scene.parison.thickness + share * way})
     part = jaxform.simulate(changed, schedule=schedule)
@@ -278,7 +280,7 @@ def replayed(share: jax.Array, way: jax.Array, scene: Scene, schedule: Schedule)
 
 def replay_of(scene: Scene, live: Result) -> Result:
     assert live.schedule is not None
-    return replayed(scenes.real(0.0), scene.parison.thickness, scene, live.schedule)[1]
+    return replay_unevenness(scenes.real(0.0), scene.parison.thickness, scene, live.schedule)[1]
 
 
 @pytest.mark.long
@@ -325,7 +327,7 @@ def test_a_replay_is_smooth_along_a_line(scene: Scene, live: Result) -> None:
     assert schedule is not None
     # With new nodes that move as their edges did it jumps by 1e-4 where a node lands before or after a border.
     shares = np.linspace(-1e-4, 1e-4, 41)
-    values = np.array([float(replayed(scenes.real(share), way, scene, schedule)[0]) for share in shares])
+    values = np.array([float(replay_unevenness(scenes.real(share), way, scene, schedule)[0]) for share in shares])
     assert np.ptp(values) > 1e-4 * values[20]
     assert np.abs(np.diff(values, 2)).max() < 1e-7 * values[20]
 
@@ -346,10 +348,10 @@ def test_too_little_room_is_told_and_a_run_takes_more(live: Result) -> None:
     small = cup(96)  # becomes the room of the other tests
     short = jax.jit(jaxform.simulate)(small)
     assert "capacity" in jaxform.explain(short) and "refinement.elements" in jaxform.explain(short)
-    grown = jaxform.run(small)
-    assert jaxform.explain(grown) == "ok"
-    assert int(grown.used.sum()) == int(live.used.sum())
-    np.testing.assert_allclose(grown.positions, live.positions, atol=1e-12)
+    larger = jaxform.run(small)
+    assert jaxform.explain(larger) == "ok"
+    assert int(larger.used.sum()) == int(live.used.sum())
+    np.testing.assert_allclose(larger.positions, live.positions, atol=1e-12)
 
 
 def test_files_and_pictures_have_the_nodes_that_exist(scene: Scene, live: Result, tmp_path: Path) -> None:

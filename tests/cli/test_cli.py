@@ -311,14 +311,14 @@ def test_an_interruption_before_any_design_says_how_to_go_on(
     study, out = _write(tmp_path, STUDY.format(method="lbfgs") + "starts = 3\n", "study.toml"), tmp_path / "out"
     recorded = [0, 0]
 
-    def interrupted(*_: object, journal: Any, **__: object) -> None:
+    def interrupt_search(*_: object, journal: Any, **__: object) -> None:
         for number, count in enumerate(recorded, 1):
             own = journal.of_start(number)
             for k in range(count):
                 own.ask("gradient", [float(k)], lambda: {"value": 1.0})
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("optimize.solve", interrupted)
+    monkeypatch.setattr("optimize.solve", interrupt_search)
     for counts, expected in (
         ([0, 0], "interrupted before anything was recorded"),
         ([2, 3], "interrupted; 5 evaluations are recorded: resume with --resume"),

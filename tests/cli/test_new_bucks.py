@@ -121,8 +121,8 @@ def test_a_vacuum_has_a_limit_and_says_what_it_fills(tmp_path, capfd):
         scene_wizard.draft([mold], thickness=0.01),
         scene_wizard.draft([mold], thickness=0.01, process="pressure"),
     )
-    assert vacuum.pressure == VACUUM and vacuum.limited
-    assert air.pressure > 2 * VACUUM and not air.limited
+    assert vacuum.pressure == VACUUM and vacuum.is_limited
+    assert air.pressure > 2 * VACUUM and not air.is_limited
     np.testing.assert_allclose(air.corner(air.pressure) / vacuum.corner(VACUUM), VACUUM / air.pressure)
     np.testing.assert_allclose(air.corner(air.pressure), 1.3 * air.element_size, rtol=0.05)
     folder = tmp_path / "scene"

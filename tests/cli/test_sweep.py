@@ -66,15 +66,15 @@ def _without_times(rows: list[dict[str, str]]) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def swept(folder: Path, cache: Path) -> Path:
+def sweep_folder(folder: Path, cache: Path) -> Path:
     """The results of two workers on a cold cache."""
     out = folder / "two"
     assert command.main(_arguments(folder, out, "--workers", "2")) == 0
     return out
 
 
-def test_each_design_is_a_row_and_what_fails_is_named(swept: Path) -> None:
-    rows = _rows(swept)
+def test_each_design_is_a_row_and_what_fails_is_named(sweep_folder: Path) -> None:
+    rows = _rows(sweep_folder)
     assert [row["design"] for row in rows] == [str(k) for k in range(1, 11)]
     wrong, stopped = rows[2], rows[3]
     assert wrong["status"].startswith("parison.thickness = -0.001: is too small") and wrong["wall_min"] == ""
@@ -83,37 +83,37 @@ def test_each_design_is_a_row_and_what_fails_is_named(swept: Path) -> None:
     assert {row["status"] for row in good} == {"ok"}
     assert [float(row["mold.profile[0][1]"]) for row in good] == DEPTHS
     for row in good:
-        summary = json.loads((swept / row["folder"] / "summary.json").read_text())
+        summary = json.loads((sweep_folder / row["folder"] / "summary.json").read_text())
         for name, text in {"wall_min": "min", "wall_mean": "mean", "wall_cv": "cv"}.items():
             assert float(row[name]) == summary["thickness"][text]
         assert float(row["mass"]) == summary["mass"] and row["flash_mass"] == ""
         assert summary["scene"] == f"small, design {row['design']}"
-        assert (swept / row["folder"] / "final.vtu").exists()
-    facts = _facts(swept)
+        assert (sweep_folder / row["folder"] / "final.vtu").exists()
+    facts = _facts(sweep_folder)
     assert (facts["designs"], facts["ok"], facts["failed"], facts["computed"]) == (10, 8, 2, 9)
     assert {"mold.profile[0][1]": "m", "wall_min": "m", "mass": "kg"}.items() <= dict(facts["units"]).items()  # type: ignore
 
 
-def test_two_workers_on_a_cold_cache_compile_nothing_twice(swept: Path, cache: Path) -> None:
+def test_two_workers_on_a_cold_cache_compile_nothing_twice(sweep_folder: Path, cache: Path) -> None:
     kept = [path.name for path in (cache / "compiled").iterdir() if path.name.endswith("-cache")]
     # Each program was compiled in one process: another would have counted it, too, or kept it under another name.
-    assert _facts(swept)["programs_compiled"] == len(kept) > 3
+    assert _facts(sweep_folder)["programs_compiled"] == len(kept) > 3
     assert sum(name.startswith("jit_advance") for name in kept) == 1
 
 
-def test_one_worker_gives_the_same_bits_and_compiles_nothing(folder: Path, swept: Path) -> None:
+def test_one_worker_gives_the_same_bits_and_compiles_nothing(folder: Path, sweep_folder: Path) -> None:
     out = folder / "one"
     assert command.main(_arguments(folder, out, "--workers", "1")) == 0
-    assert _without_times(_rows(out)) == _without_times(_rows(swept))
+    assert _without_times(_rows(out)) == _without_times(_rows(sweep_folder))
     assert _facts(out)["programs_compiled"] == 0
     for row in _rows(out):
         if row["folder"]:
-            one, two = ((place / row["folder"] / "final.vtu").read_bytes() for place in (out, swept))
+            one, two = ((place / row["folder"] / "final.vtu").read_bytes() for place in (out, sweep_folder))
             assert one == two
 
 
-def test_simulate_gives_the_same_bits(folder: Path, swept: Path) -> None:
-    scene = swept / "designs" / "0005" / "simulated.toml"
+def test_simulate_gives_the_same_bits(folder: Path, sweep_folder: Path) -> None:
+    scene = sweep_folder / "designs" / "0005" / "simulated.toml"
     out = folder / "alone"
     done = subprocess.run(
         [sys.executable, "-m", "jaxform.cli", "simulate", str(scene), "--out", str(out), "--quiet"],
@@ -123,10 +123,10 @@ def test_simulate_gives_the_same_bits(folder: Path, swept: Path) -> None:
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
-    assert (out / "final.vtu").read_bytes() == (swept / "designs" / "0005" / "final.vtu").read_bytes()
+    assert (out / "final.vtu").read_bytes() == (sweep_folder / "designs" / "0005" / "final.vtu").read_bytes()
 
 
-def test_a_worker_that_is_killed_costs_nothing_that_is_recorded(folder: Path, swept: Path) -> None:
+def test_a_worker_that_is_killed_costs_nothing_that_is_recorded(folder: Path, sweep_folder: Path) -> None:
     out = folder / "killed"
     killed: list[int] = []
 
@@ -144,11 +144,11 @@ def test_a_worker_that_is_killed_costs_nothing_that_is_recorded(folder: Path, sw
     assert command.main(_arguments(folder, out, "--workers", "2")) == 0
     killer.join(timeout=10)
     assert killed
-    assert _without_times(_rows(out)) == _without_times(_rows(swept))
+    assert _without_times(_rows(out)) == _without_times(_rows(sweep_folder))
     assert _facts(out)["computed"] == 9
 
 
-def test_a_client_that_is_killed_goes_on_where_it_was(folder: Path, swept: Path) -> None:
+def test_a_client_that_is_killed_goes_on_where_it_was(folder: Path, sweep_folder: Path) -> None:
     out = folder / "stopped"
     known = os.environ | {"PYTHONPATH": str(ROOT)}
     line = [sys.executable, "-m", "jaxform.cli", *_arguments(folder, out, "--workers", "1")]
@@ -168,10 +168,10 @@ def test_a_client_that_is_killed_goes_on_where_it_was(folder: Path, swept: Path)
         before.values(), key=lambda row: int(row["design"])
     )
     assert _facts(out)["computed"] == 10 - len(before)
-    assert _without_times(after) == _without_times(_rows(swept))
+    assert _without_times(after) == _without_times(_rows(sweep_folder))
 
 
-def test_an_interruption_says_how_to_go_on(folder: Path, swept: Path) -> None:
+def test_an_interruption_says_how_to_go_on(folder: Path, sweep_folder: Path) -> None:
     out = folder / "interrupted"
     known = os.environ | {"PYTHONPATH": str(ROOT)}
     # So many rows that the sweep does not end before it is interrupted.
@@ -190,7 +190,7 @@ def test_an_interruption_says_how_to_go_on(folder: Path, swept: Path) -> None:
     assert said == f"jaxform: interrupted; {len(_rows(out))} rows are recorded: resume with --resume"
 
 
-def test_each_row_can_be_a_search(folder: Path, swept: Path, tmp_path: Path) -> None:
+def test_each_row_can_be_a_search(folder: Path, sweep_folder: Path, tmp_path: Path) -> None:
     study = """
 scene = "scene.toml"
 [[variable]]
@@ -225,7 +225,7 @@ values = [0.045, 0.05]
     assert _facts(out)["computed"] == 2
 
 
-def test_a_table_that_has_changed_is_gone_on_with(folder: Path, swept: Path, tmp_path: Path) -> None:
+def test_a_table_that_has_changed_is_gone_on_with(folder: Path, sweep_folder: Path, tmp_path: Path) -> None:
     lines = (folder / "table.csv").read_text().splitlines()
     (tmp_path / "scene.toml").write_text(scenes.FILE)
     (tmp_path / "table.csv").write_text("\n".join([lines[0], lines[6], lines[5], "0.052,0.052,1.0e-3,", lines[5]]))
@@ -249,11 +249,11 @@ def test_a_table_that_has_changed_is_gone_on_with(folder: Path, swept: Path, tmp
     assert [path.name for path in (out / "designs").iterdir()] == ["0001"] and len(_rows(out)) == 1
 
 
-def test_the_pictures_show_something_and_a_click_opens_the_part(swept: Path) -> None:
+def test_the_pictures_show_something_and_a_click_opens_the_part(sweep_folder: Path) -> None:
     for name in ("thinnest_wall.png", "main_effects.png", "scatter_matrix.png"):
-        with Image.open(swept / name) as picture:
+        with Image.open(sweep_folder / name) as picture:
             assert len(picture.convert("RGB").getcolors(1 << 24) or []) > 20
-    page = (swept / "report.html").read_text()
+    page = (sweep_folder / "report.html").read_text()
     assert page.count("data-part=") == 9 and 'data-part="designs/0001/report.html"' in page
     for name in ("thinnest_wall.png", "main_effects.png", "scatter_matrix.png"):
         assert f'src="{name}"' in page

@@ -256,14 +256,14 @@ def test_inverted_copied_and_open_triangles_make_the_same_part() -> None:
 def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scenes.cup()
 
-    def taken() -> State:
+    def take_windows() -> State:
         state, body, _ = host.begin(scene)
         advance = jax.jit(lambda state: windows.window(state, scene, body, differentiable=False))
         for _ in range(25):
             state = advance(state)
         return state
 
-    skipping = taken()
+    skipping = take_windows()
     monkeypatch.setattr(
         contact_step,
         "find_active_pairs",
@@ -272,7 +272,7 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
     monkeypatch.setattr(
         contact_step, "check_nodes", lambda *args: (jnp.asarray(True), broad_phase.check_nodes(*args)[1])
     )
-    always = taken()
+    always = take_windows()
     assert 0 < int((skipping.nodes.wall != 0).sum())
     scenes.assert_same(skipping.nodes.positions, always.nodes.positions)
     np.testing.assert_array_equal(skipping.nodes.wall, always.nodes.wall)

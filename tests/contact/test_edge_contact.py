@@ -105,7 +105,7 @@ def test_a_film_over_a_ridge_between_nodes_has_the_exact_wall_on_both_sides() ->
     assert abs(free[1] / exact[1] - 1.0) > 0.04
 
 
-def pushed(count: int, way: float = 0.02) -> jaxform.Scene:
+def wedge_scene(count: int, way: float = 0.02) -> jaxform.Scene:
     """The strip and a wedge above it that moves down, with nothing else that pushes."""
     motion = jaxform.make_motion([0.0, 0.0, -1.0], [0.0, 0.05], [0.0, way])
     return jaxform.build_scene(
@@ -119,7 +119,7 @@ def pushed(count: int, way: float = 0.02) -> jaxform.Scene:
 
 
 def test_an_edge_of_a_tool_that_moves_takes_the_film_along() -> None:
-    result = jaxform.run(pushed(32))
+    result = jaxform.run(wedge_scene(32))
     assert int(result.status) == 0
     assert held_count(result) == 3
     exact = [WALL / np.hypot(1.0, (0.02 - 2e-4) / length) for length in (RIDGE, LENGTH - RIDGE)]
@@ -147,7 +147,7 @@ def _thin_side(result: jaxform.Result) -> jax.Array:
     return jnp.sum(own * result.element_thickness) / jnp.sum(own)
 
 
-@pytest.mark.parametrize("build", [blown, pytest.param(pushed, marks=pytest.mark.long)])
+@pytest.mark.parametrize("build", [blown, pytest.param(wedge_scene, marks=pytest.mark.long)])
 def test_gradients_through_edge_contact(build: Callable[[int], jaxform.Scene]) -> None:
     scene = build(8)
     schedule = jaxform.run(scene).schedule

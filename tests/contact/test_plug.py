@@ -152,7 +152,7 @@ def landing() -> _Landing:
     return _push()
 
 
-def _pushed(depth: float, pressure: float) -> jaxform.Scene:
+def _plug_scene(depth: float, pressure: float) -> jaxform.Scene:
     """A disc with rings of nodes every 0.05; the plug's facets are as often within its circle as beyond."""
     sheet = shapes.disc(radius=1.0, element_size=0.05, symmetry="quarter")
     rod = molds.rod(radius=_PLUG / np.cos(np.pi / 96) ** 0.5, length=1.5, segments=96)
@@ -179,7 +179,7 @@ def test_disc_pushed_by_a_hemispherical_plug_to_which_it_sticks(
     depth: float, pressure: float, landing: _Landing
 ) -> None:
     """The last ring of nodes on the plug is beside the line of contact, which only a ring can resolve."""
-    scene = _pushed(depth, pressure)
+    scene = _plug_scene(depth, pressure)
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 1e-4
     exact = _thickness(landing, depth, pressure)

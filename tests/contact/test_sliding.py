@@ -398,7 +398,7 @@ def _plug(law: jaxform.ContactLaw | None, depth: float, radius: float = 0.3, **w
     return jaxform.make_mold(made.vertices, made.triangles, contact=law, motion=motion, name="plug", **warmth)
 
 
-def _pushed(
+def _plug_scene(
     plug: jaxform.Mold,
     elements: int = 600,
     pressure: float = 0.0,
@@ -425,7 +425,7 @@ def _pushed(
 def test_disc_pushed_by_a_flat_plug_to_which_it_sticks() -> None:
     # Only the plug cools the sheet, by numbers of its own; that changes no thickness.
     cooling = jaxform.Cooling(as_real(100.0), mold=as_real(7.0))
-    scene = _pushed(_plug(None, 0.6, temperature=40.0, heat_transfer=0.05), elements=610, cooling=cooling)
+    scene = _plug_scene(_plug(None, 0.6, temperature=40.0, heat_transfer=0.05), elements=610, cooling=cooling)
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 1e-4
     places = np.asarray(scene.parison.positions)[np.asarray(result.triangles)]
@@ -445,7 +445,7 @@ def test_disc_pushed_by_a_flat_plug_to_which_it_sticks() -> None:
 
 @pytest.mark.long
 def test_gradient_through_stick_slip_and_release_is_that_of_differences() -> None:
-    scene = _pushed(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=100, pressure=2.0)
+    scene = _plug_scene(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=100, pressure=2.0)
     way, time = (np.asarray(getattr(scene.tools[0].motion, name)) for name in ("displacement", "time"))
     whole = jaxform.run(scene)
     traced = jaxform.simulate(scene)
@@ -470,7 +470,7 @@ def test_gradient_through_stick_slip_and_release_is_that_of_differences() -> Non
 
 
 def test_names_of_tools_and_numbers_of_their_laws() -> None:
-    scene = _pushed(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=24)
+    scene = _plug_scene(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=24)
     law = jaxform.replace(scene, {"tools.plug.contact.friction": 0.4}).tools[0].contact
     assert isinstance(law, jaxform.Coulomb) and float(law.friction) == 0.4
     with pytest.raises(jaxform.InputError, match="finite numbers >= 0"):
@@ -504,7 +504,7 @@ def test_no_node_passes_a_tool_that_moves(seed: int) -> None:
 def test_a_refined_sheet_slides_on_a_plug() -> None:
     # New nodes between those that the plug touched at the start lie on it only where they are on it now.
     refinement = jaxform.make_refinement(angle=6.0, max_level=2, interval=64, elements=800)
-    scene = _pushed(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=60, refinement=refinement)
+    scene = _plug_scene(_plug(jaxform.make_contact_law("coulomb", 0.2), 0.6), elements=60, refinement=refinement)
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 2e-3
     assert np.sum(result.used) > 100 and int(result.shortened) < 5
@@ -572,7 +572,7 @@ def test_a_strip_is_as_slippery_as_it_is_warm() -> None:
 def test_gradient_by_friction_over_temperature_is_that_of_differences() -> None:
     cooling = jaxform.Cooling(as_real(100.0), mold=as_real(7.0))
     plug = _plug(_table((60.0, 140.0), (0.1, 0.4)), 0.6, temperature=40.0, heat_transfer=0.05)
-    scene = _pushed(plug, elements=100, cooling=cooling)
+    scene = _plug_scene(plug, elements=100, cooling=cooling)
     traced = jaxform.simulate(scene)
 
     def objective(design: jax.Array) -> jax.Array:
@@ -601,4 +601,4 @@ def test_friction_over_temperature_that_does_not_fit_is_refused() -> None:
     with pytest.raises(jaxform.InputError, match="knots do not increase"):
         _table((120.0, 80.0))
     with pytest.raises(jaxform.InputError, match=r"parison\.temperature: is missing"):
-        _pushed(_plug(_table(), 0.6), elements=24)
+        _plug_scene(_plug(_table(), 0.6), elements=24)

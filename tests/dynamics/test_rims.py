@@ -104,24 +104,24 @@ def test_a_refined_sheet_with_a_free_edge_balances() -> None:
 
 
 @pytest.fixture(scope="module")
-def formed() -> Scene:
+def floor_scene() -> Scene:
     """The strip onto a floor."""
     floor = molds.revolved(profile=[[0.0, 0.2], [3.0, 0.2]], segments=24)
     return strip(mold=jaxform.make_mold(floor.vertices, floor.triangles), solver={"end_time": 18.0})
 
 
-def test_the_ways_to_go_back_agree_and_equal_differences(formed: Scene) -> None:
-    run = jaxform.run(formed)
+def test_the_ways_to_go_back_agree_and_equal_differences(floor_scene: Scene) -> None:
+    run = jaxform.run(floor_scene)
     assert np.any(np.asarray(run.contact_time) > 0) and balance(run) < 1e-2
 
     def figure(numbers: dict[str, jax.Array], adjoint: Any) -> jax.Array:
-        result = jaxform.simulate(jaxform.replace(formed, numbers), schedule=run.schedule, adjoint=adjoint)
+        result = jaxform.simulate(jaxform.replace(floor_scene, numbers), schedule=run.schedule, adjoint=adjoint)
         return 1e3 * result.energy.external_work + jnp.mean(jnp.square(result.positions))
 
-    weights = 1.0 + np.arange(formed.parison.thickness.size) / formed.parison.thickness.size
-    at = {"pressure.value": formed.pressure.value, "parison.thickness": formed.parison.thickness}
-    at["material.c"] = jnp.asarray(formed.material.c)  # pyright: ignore[reportAttributeAccessIssue]
-    at["solver.damping"] = jnp.asarray(formed.solver.damping)
+    weights = 1.0 + np.arange(floor_scene.parison.thickness.size) / floor_scene.parison.thickness.size
+    at = {"pressure.value": floor_scene.pressure.value, "parison.thickness": floor_scene.parison.thickness}
+    at["material.c"] = jnp.asarray(floor_scene.material.c)  # pyright: ignore[reportAttributeAccessIssue]
+    at["solver.damping"] = jnp.asarray(floor_scene.solver.damping)
     both_ways = [jax.jit(jax.value_and_grad(lambda x, way=way: figure(x, way))) for way in
                  (jaxform.Reversed(), jaxform.Checkpointed())]  # fmt: skip
     slopes = [each(at)[1] for each in both_ways]

@@ -43,20 +43,20 @@ def cup() -> jaxform.Scene:
 
 
 @pytest.fixture(scope="module")
-def landed(cup: jaxform.Scene) -> jaxform.Result:
+def cup_result(cup: jaxform.Scene) -> jaxform.Result:
     return jaxform.run(cup)
 
 
-def test_the_wall_is_that_of_short_windows(cup: jaxform.Scene, landed: jaxform.Result) -> None:
+def test_the_wall_is_that_of_short_windows(cup: jaxform.Scene, cup_result: jaxform.Result) -> None:
     short = jaxform.run(with_windows_of(SHORT_WINDOW, cup))
-    assert jaxform.explain(landed) == jaxform.explain(short) == "ok"
-    assert max(_counts(short)) <= SHORT_WINDOW < max(_counts(landed))
-    assert int(landed.windows) < int(short.windows)
+    assert jaxform.explain(cup_result) == jaxform.explain(short) == "ok"
+    assert max(_counts(short)) <= SHORT_WINDOW < max(_counts(cup_result))
+    assert int(cup_result.windows) < int(short.windows)
     # Other windows are halted and other steps taken, as with larger balls.
-    np.testing.assert_allclose(landed.positions, short.positions, rtol=0, atol=2e-4)
-    np.testing.assert_allclose(landed.thickness, short.thickness, rtol=4e-3)
-    np.testing.assert_allclose(landed.energy.external_work, short.energy.external_work, rtol=1e-3)
-    np.testing.assert_array_equal(landed.stuck, short.stuck)
+    np.testing.assert_allclose(cup_result.positions, short.positions, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(cup_result.thickness, short.thickness, rtol=4e-3)
+    np.testing.assert_allclose(cup_result.energy.external_work, short.energy.external_work, rtol=1e-3)
+    np.testing.assert_array_equal(cup_result.stuck, short.stuck)
 
 
 def test_after_one_that_was_cut_short_comes_a_short_one() -> None:
@@ -125,16 +125,16 @@ def _weigh(
     result = jaxform.simulate(changed, adjoint=adjoint)
     ways = noise_vector(result.positions.T).T
     energies = sum(jax.tree.leaves(result.energy))
-    landed = jnp.mean(jnp.where(result.contact_time > 0.0, result.contact_time, 0.0))
+    landing_time = jnp.mean(jnp.where(result.contact_time > 0.0, result.contact_time, 0.0))
     wall = jnp.mean((1.0 + ways[:, 0]) * jnp.square(result.thickness / 0.005))
-    return wall + jnp.mean(ways * (result.positions + result.velocities)) + 0.3 * energies + 0.01 * landed, result
+    return wall + jnp.mean(ways * (result.positions + result.velocities)) + 0.3 * energies + 0.01 * landing_time, result
 
 
 _slopes = jax.jit(jax.value_and_grad(_weigh, argnums=(0, 1), has_aux=True), static_argnames="adjoint")
 
 
 def test_every_loop_takes_the_same_windows_and_all_derivatives_agree(
-    cup: jaxform.Scene, landed: jaxform.Result
+    cup: jaxform.Scene, cup_result: jaxform.Result
 ) -> None:
     """The host's loop and those that can be differentiated.
 
@@ -151,8 +151,8 @@ def test_every_loop_takes_the_same_windows_and_all_derivatives_agree(
     expected: Any = None
     for adjoint in ways:
         (value, result), slopes = _slopes(*at, cup, adjoint=adjoint)
-        assert _counts(result) == _counts(landed)
-        np.testing.assert_allclose(result.positions, landed.positions, rtol=0, atol=1e-12)
+        assert _counts(result) == _counts(cup_result)
+        np.testing.assert_allclose(result.positions, cup_result.positions, rtol=0, atol=1e-12)
         expected = (value, slopes) if expected is None else expected
         _assert_close((value, slopes), expected)
     change = jax.tree.map(lambda value: value * jnp.cos(jnp.arange(value.size)).reshape(value.shape), at)

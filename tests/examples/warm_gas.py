@@ -55,12 +55,12 @@ class WarmGas(jaxform.Loading):
         """The gas once it has expanded and more has flowed in."""
         begin = interval.time - interval.length
         inflow = self.inflow * (jnp.minimum(interval.time, self.inflow_time) - jnp.minimum(begin, self.inflow_time))
-        filled = self._filled(own, 0.5 * inflow)
+        filled = self._add_mass(own, 0.5 * inflow)
         before, volume = self.dead_volume + interval.before, self.dead_volume + interval.volume
         cooled = filled.temperature * (before / volume) ** (self.constant / self.capacity)
-        return self._filled(Gas(filled.mass, cooled), 0.5 * inflow)
+        return self._add_mass(Gas(filled.mass, cooled), 0.5 * inflow)
 
-    def _filled(self, own: Gas, more: jax.Array) -> Gas:
+    def _add_mass(self, own: Gas, more: jax.Array) -> Gas:
         mass, ratio = own.mass + more, 1.0 + self.constant / self.capacity
         return Gas(mass, (own.mass * own.temperature + more * ratio * self.inflow_temperature) / mass)
 

@@ -62,7 +62,7 @@ def _write(folder: Path, material: str = _NEW, name: str = "square", **options: 
     return path
 
 
-def _refused(path: Path) -> str:
+def _message(path: Path) -> str:
     with pytest.raises(jaxform.InputError) as caught:
         jaxform.load(path)
     return str(caught.value)
@@ -93,10 +93,10 @@ def test_the_same_text_is_the_same_class_and_another_text_another(tmp_path: Path
 
 
 def test_keys_and_ranges_of_a_scene_file_are_those_that_the_class_declares(tmp_path: Path) -> None:
-    assert "material.a = -1.0: is too small" in _refused(_write(tmp_path, _NEW.replace("0.2e6", "-1.0")))
-    assert "material.a: is missing" in _refused(_write(tmp_path, _NEW.replace("a = 0.2e6\n", "")))
-    assert "material.c: is " in _refused(_write(tmp_path, _NEW + "c = 1.0\n"))
-    assert "material.b: is missing" in _refused(_write(tmp_path, default="None"))
+    assert "material.a = -1.0: is too small" in _message(_write(tmp_path, _NEW.replace("0.2e6", "-1.0")))
+    assert "material.a: is missing" in _message(_write(tmp_path, _NEW.replace("a = 0.2e6\n", "")))
+    assert "material.c: is " in _message(_write(tmp_path, _NEW + "c = 1.0\n"))
+    assert "material.b: is missing" in _message(_write(tmp_path, default="None"))
     table = schema.material_table("square", LAWS["square"])
     assert table.__doc__ == LAWS["square"].__doc__ and {"a", "b", "density", "model"} < set(table.model_fields)
 
@@ -127,9 +127,9 @@ def test_a_file_that_declares_no_model_is_refused(tmp_path: Path, text: str, wor
 def test_a_missing_file_is_refused_with_its_key(tmp_path: Path) -> None:
     path = _write(tmp_path)
     (tmp_path / "square.py").unlink()
-    assert "material.model_file" in (text := _refused(path)) and "does not exist" in text
+    assert "material.model_file" in (text := _message(path)) and "does not exist" in text
     path.write_text(scenes.FILE.replace(_OLD, _NEW.replace('model_file = "square.py"\n', "")))
-    assert "material.model = 'square': is unknown; use " in _refused(path)
+    assert "material.model = 'square': is unknown; use " in _message(path)
 
 
 def test_a_registered_model_needs_no_file(tmp_path: Path) -> None:

@@ -178,7 +178,7 @@ def test_which_tool_an_element_touches() -> None:
 
 
 def test_a_browser_names_the_tool_that_was_clicked_on(folder: Path, tmp_path: Path) -> None:
-    if browser.found() is None:
+    if browser.find_browser() is None:
         pytest.skip("no Chromium or Chrome on this machine")
     with browser.browser(tmp_path) as page:
         page.visit(folder / "report.html", "document.documentElement?.dataset.ready")

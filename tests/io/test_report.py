@@ -457,7 +457,7 @@ def test_the_process_has_a_diagram_for_each_panel() -> None:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[browser.Browser]:
-    if browser.found() is None:
+    if browser.find_browser() is None:
         pytest.skip("no Chromium or Chrome on this machine")
     with browser.browser(tmp_path_factory.mktemp("browser")) as page:
         yield page

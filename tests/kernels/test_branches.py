@@ -77,7 +77,7 @@ def test_what_is_linearized_can_be_called_mapped_transposed_and_differentiated()
         def figure(x: jax.Array) -> jax.Array:
             return walk(choose, x, TABLE, limit) * x
 
-        def pushed(x: jax.Array, way: jax.Array) -> jax.Array:
+        def tangent(x: jax.Array, way: jax.Array) -> jax.Array:
             return jax.linearize(figure, x)[1](way)
 
         def jacobian(x: jax.Array) -> jax.Array:
@@ -90,7 +90,7 @@ def test_what_is_linearized_can_be_called_mapped_transposed_and_differentiated()
         def curvature(x: jax.Array) -> jax.Array:
             return jax.vmap(jax.linearize(jax.grad(lambda x: jnp.sum(figure(x))), x)[1])(jnp.eye(x.size))
 
-        ways = [jacobian, gradient, curvature, lambda x: pushed(x, x), lambda x: jax.jvp(jacobian, (x,), (TABLE[:3],))]
+        ways = [jacobian, gradient, curvature, lambda x: tangent(x, x), lambda x: jax.jvp(jacobian, (x,), (TABLE[:3],))]
         return [way(START) for way in ways] + [jax.jit(way)(START) for way in ways]
 
     mine, its = derivatives(branch), derivatives(of_jax)

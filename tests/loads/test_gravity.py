@@ -83,7 +83,7 @@ def test_pre_stretch_is_that_of_a_refined_sheet_too() -> None:
 
 
 @functools.cache
-def _formed(damping: float | None) -> jaxform.Scene:
+def _vacuum_scene(damping: float | None) -> jaxform.Scene:
     """A pre-stretched sheet that gravity and a vacuum draw into a cup below it."""
     mold = jaxform.molds.revolved(profile=[[0.0, -0.35], [0.55, -0.35], [1.0, 0.0]], segments=24)
     return jaxform.build_scene(
@@ -99,7 +99,7 @@ def _formed(damping: float | None) -> jaxform.Scene:
 @pytest.mark.long
 @pytest.mark.parametrize("damping", [None, 1.0])
 def test_gradients_with_gravity_are_those_of_differences(damping: float | None) -> None:
-    scene = _formed(damping)
+    scene = _vacuum_scene(damping)
     base = jaxform.run(scene)
     assert int(np.asarray(base.stuck).sum()) > 20, "it has to meet the mold"
     weight = jnp.asarray(np.random.default_rng(0).normal(size=base.thickness.shape))

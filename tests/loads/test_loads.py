@@ -117,14 +117,14 @@ def test_a_gas_keeps_account_of_its_temperature() -> None:
     scene = scenes.loaded_scene(gas)
     result = jaxform.run(scene)
 
-    def lifted(positions: jax.Array) -> float:
+    def current_volume(positions: jax.Array) -> float:
         place = np.asarray(positions) + 0.0
         return volumes.enclosed_volume(place, np.asarray(scene.parison.triangles))
 
     assert int(result.status) == 0 and np.mean(np.asarray(result.contact_time) > 0) > 0.3
     assert float(result.energy.balance_error) < 2e-3
     more = 0.02 * min(16.0, float(result.time))
-    work = float(result.energy.external_work) + lifted(result.positions)
+    work = float(result.energy.external_work) + current_volume(result.positions)
     held = float(result.loading.mass * result.loading.temperature) * 2.5
     np.testing.assert_allclose(result.loading.mass, DEAD + more, rtol=1e-12)
     np.testing.assert_allclose(held, 2.5 * DEAD + more * 3.5 * 1.5 - work, rtol=1e-5)

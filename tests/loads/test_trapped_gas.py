@@ -95,13 +95,13 @@ def test_adiabatic_gas_is_blown_expands_and_is_vented_as_its_ode_has_it() -> Non
     warm = exact.y[1] * (K - 1.0) / (R * exact.y[0])
     assert warm.max() > 1.2 * WARM and warm.min() < 0.9 * WARM and expected.max() > 5e5
 
-    def found(count: int) -> np.ndarray:
+    def follow_pressure(count: int) -> np.ndarray:
         return _follow(gas, size(np.linspace(0.0, 0.4, 40 * count + 1)), 0.01 / count)[::count] + AMBIENT
 
     apart = (times < 0.12) & (times > 0.0)
-    np.testing.assert_allclose(found(400)[1:], expected[1:], rtol=3e-4)
-    np.testing.assert_allclose(found(400)[apart], expected[apart], rtol=3e-6)
-    errors = [np.abs(found(count) - expected)[apart].max() for count in (5, 10, 20)]
+    np.testing.assert_allclose(follow_pressure(400)[1:], expected[1:], rtol=3e-4)
+    np.testing.assert_allclose(follow_pressure(400)[apart], expected[apart], rtol=3e-6)
+    errors = [np.abs(follow_pressure(count) - expected)[apart].max() for count in (5, 10, 20)]
     assert np.log2(errors[0] / errors[1]) > 1.7 and np.log2(errors[1] / errors[2]) > 1.7, "of second order"
 
 

@@ -163,14 +163,14 @@ def test_gents_law_goes_on_beyond_its_limit_with_a_finite_force() -> None:
 def test_the_stable_step_and_the_energy_know_all_second_derivatives(
     law: jaxform.Law, stretch: tuple[float, float]
 ) -> None:
-    def strained(gradient: jax.Array) -> membrane.Invariants:
+    def strain_invariants(gradient: jax.Array) -> membrane.Invariants:
         c = gradient.T @ gradient
         return membrane.invariants((c[0, 0], c[0, 1], c[1, 1]), UNIT)
 
     gradient = jnp.asarray([[stretch[0], 0.0], [0.0, stretch[1]], [0.0, 0.0]])
-    energy = jax.hessian(lambda x: membrane.energy_density(strained(x), law))
+    energy = jax.hessian(lambda x: membrane.energy_density(strain_invariants(x), law))
     largest = np.linalg.eigvalsh(energy(gradient).reshape(6, 6)).max()
-    found = constitutive.tangent_stiffness(strained(gradient), law)
+    found = constitutive.tangent_stiffness(strain_invariants(gradient), law)
     np.testing.assert_allclose(found, largest, rtol=1e-8)
     if stretch == (1.0, 1.0):
         np.testing.assert_allclose(law.stiffness(), largest / 12, rtol=1e-9)

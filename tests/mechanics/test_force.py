@@ -184,14 +184,14 @@ def test_pairs_get_what_their_elements_get_one_by_one(backend: str, monkeypatch:
     ):
         packed = packing.pack(None, tables, assembly)
 
-        def pushed(
+        def packed_force(
             moved: jax.Array, thickness: jax.Array, packed: packing.Packed = packed
         ) -> tuple[jax.Array, jax.Array]:
             load = Load(packed.pack(moved), thickness[packed.element], real(0.3), LAWS[1])
             nodal, volume = force.force(load, packed.elements)
             return packed.unpack(nodal), volume
 
-        value, pull = jax.vjp(pushed, moved, thickness)
+        value, pull = jax.vjp(packed_force, moved, thickness)
         found.append((value, pull((weights, real(0.7)))))
     for got, expected in zip(*map(jax.tree.leaves, found), strict=True):
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12 * float(jnp.abs(expected).max()))

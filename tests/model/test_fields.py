@@ -44,33 +44,33 @@ def cup() -> jaxform.Scene:
 
 
 @pytest.fixture(scope="module")
-def formed(cup: jaxform.Scene) -> jaxform.Result:
+def cup_result(cup: jaxform.Scene) -> jaxform.Result:
     return jaxform.run(cup)
 
 
-def test_a_field_follows_each_node_through_contact(cup: jaxform.Scene, formed: jaxform.Result) -> None:
+def test_a_field_follows_each_node_through_contact(cup: jaxform.Scene, cup_result: jaxform.Result) -> None:
     """Newton's cooling in closed form: in the air until the node touches, then on the mold to the end."""
     began = np.asarray(cast("Any", cup.fields["temperature"]).initial)
-    end, touched = float(formed.time), np.asarray(formed.contact_time)
+    end, touched = float(cup_result.time), np.asarray(cup_result.contact_time)
     assert np.isclose(end, float(cup.solver.end_time)) and np.mean(touched > 0) > 0.5
     until = np.where(touched > 0, touched, end)
     hot = 20.0 + (began - 20.0) * np.exp(-AIR * until)
     expected = np.where(touched > 0, 10.0 + (hot - 10.0) * np.exp(-MOLD * (end - until)), hot)
-    length = end / float(formed.steps)
-    np.testing.assert_allclose(formed.fields["temperature"], expected, rtol=0, atol=150.0 * MOLD * 2 * length)
+    length = end / float(cup_result.steps)
+    np.testing.assert_allclose(cup_result.fields["temperature"], expected, rtol=0, atol=150.0 * MOLD * 2 * length)
 
 
-def test_a_field_that_nothing_reads_changes_nothing(formed: jaxform.Result) -> None:
+def test_a_field_that_nothing_reads_changes_nothing(cup_result: jaxform.Result) -> None:
     plain = scenes.cup()
     without_skips = dataclasses.replace(plain, solver=dataclasses.replace(plain.solver, skip_stuck=False))
     usual = jaxform.run(without_skips)
     assert usual.fields == {}
-    np.testing.assert_allclose(formed.positions, usual.positions, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(formed.thickness, usual.thickness, rtol=1e-7)
+    np.testing.assert_allclose(cup_result.positions, usual.positions, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(cup_result.thickness, usual.thickness, rtol=1e-7)
 
 
-def test_a_batch_carries_it(cup: jaxform.Scene, formed: jaxform.Result) -> None:
-    own = formed.fields["temperature"]
+def test_a_batch_carries_it(cup: jaxform.Scene, cup_result: jaxform.Result) -> None:
+    own = cup_result.fields["temperature"]
     rates = np.asarray([MOLD, 2 * MOLD])
     batch = jaxform.simulate_batch(cup, {"fields.temperature.mold_rate": rates})
     assert batch.fields["temperature"].shape == (2, own.size)
@@ -117,10 +117,10 @@ def test_the_reversed_scheme_is_refused_in_words(cup: jaxform.Scene) -> None:
         jaxform.Checkpointed(windows=0)
 
 
-def test_files_have_it(cup: jaxform.Scene, formed: jaxform.Result, tmp_path: Path) -> None:
-    output.write_result(cup, formed, tmp_path)
+def test_files_have_it(cup: jaxform.Scene, cup_result: jaxform.Result, tmp_path: Path) -> None:
+    output.write_result(cup, cup_result, tmp_path)
     read = meshio.read(tmp_path / "final.vtu")
-    np.testing.assert_allclose(read.point_data["temperature"], formed.fields["temperature"], rtol=1e-12)
+    np.testing.assert_allclose(read.point_data["temperature"], cup_result.fields["temperature"], rtol=1e-12)
     output.write_sheet(cup, tmp_path / "sheet.vtu")
     began = cast("Any", cup.fields["temperature"]).initial
     np.testing.assert_allclose(meshio.read(tmp_path / "sheet.vtu").point_data["temperature"], began, rtol=1e-12)

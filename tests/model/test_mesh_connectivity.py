@@ -50,32 +50,32 @@ def _flip(mesh: Mesh) -> Mesh:
     return Mesh(mesh.positions, mesh.triangles[:, ::-1])
 
 
-def _bent(mesh: Mesh) -> Mesh:
+def _bend(mesh: Mesh) -> Mesh:
     """Bent round a cylinder about the x axis, three quarters of a turn."""
     angle = 1.5 * np.pi * mesh.positions[:, 1]
     return Mesh(np.stack([mesh.positions[:, 0], np.cos(angle), np.sin(angle)], axis=1), mesh.triangles)
 
 
-def _found(mesh: Mesh) -> mesh_connectivity.MeshConnectivity:
+def _connectivity(mesh: Mesh) -> mesh_connectivity.MeshConnectivity:
     return mesh_connectivity.find_connectivity(mesh.positions, mesh.triangles, np.zeros(mesh.positions.shape, bool))
 
 
 def test_halves_whose_nodes_do_not_match_have_hanging_nodes() -> None:
     one, other = _patch(3, 3, low=(-1.0, 0.0)), _patch(3, 2)
-    found = _found(_together(one, other))
+    found = _connectivity(_together(one, other))
     mesh = _together(one, other)
     assert found.part_count == 2
     np.testing.assert_allclose(np.sort(mesh.positions[found.loose, 1]), [1 / 3, 1 / 2, 2 / 3])
     np.testing.assert_allclose(mesh.positions[found.loose, 0], 0.0)
-    match = _found(_together(one, _patch(3, 3)))
+    match = _connectivity(_together(one, _patch(3, 3)))
     assert match.part_count == 1 and match.rims == 1 and not len(match.loose) and not len(match.pinched)
 
 
 @pytest.mark.parametrize(("coarse", "fine"), [(12, 13), (12, 36), (20, 50)])
 def test_hanging_nodes_of_a_curved_seam_lie_off_the_chords(coarse: int, fine: int) -> None:
-    mesh = _bent(_together(_patch(3, coarse, low=(-1.0, 0.0)), _patch(3, fine)))
+    mesh = _bend(_together(_patch(3, coarse, low=(-1.0, 0.0)), _patch(3, fine)))
     on_seam = np.abs(mesh.positions[:, 0]) < 1e-12
-    found = _found(mesh)
+    found = _connectivity(mesh)
     assert on_seam[found.loose].all()
     # Of the seam's nodes, those that both sides share are joined; of the others hardly one is missed.
     shared = len(found.pinched)
@@ -90,14 +90,14 @@ def test_a_crack_within_one_part_is_found() -> None:
     faces = mesh.triangles.copy()
     faces[left] = np.where(faces[left] == middle, len(mesh.positions), faces[left])
     torn = Mesh(np.concatenate([mesh.positions, mesh.positions[[middle]] - [1e-4, 0, 0]]), faces)
-    found = _found(torn)
+    found = _connectivity(torn)
     assert found.part_count == 1
     assert sorted(found.loose.tolist()) == [middle, len(mesh.positions)]
 
 
 def test_rims_that_coincide_but_for_rounding_are_not_joined() -> None:
     mesh = _together(_patch(3, 3, low=(-1.0, 0.0)), _patch(3, 3), gap=1e-6)
-    found = _found(mesh)
+    found = _connectivity(mesh)
     assert len(found.loose) == 8
     np.testing.assert_allclose(mesh.positions[found.loose, 0], 0.0, atol=2e-6)
 
@@ -113,7 +113,7 @@ def test_rims_that_coincide_but_for_rounding_are_not_joined() -> None:
     ids=["strip", "slit", "wedge", "graded"],
 )  # fmt: skip
 def test_rims_that_are_meant_are_left_alone(mesh: Mesh) -> None:
-    found = _found(mesh)
+    found = _connectivity(mesh)
     assert not len(found.loose) and not len(found.pinched)
 
 
@@ -130,26 +130,26 @@ def test_built_in_sheets_hang_together() -> None:
 
 
 def test_bow_ties_open_and_closed() -> None:
-    found = _found(_together(_patch(2, 2, low=(-1.0, -1.0)), _patch(2, 2)))
+    found = _connectivity(_together(_patch(2, 2, low=(-1.0, -1.0)), _patch(2, 2)))
     assert found.part_count == 2 and len(found.pinched) == 1 and found.rims == 1
     ball = shapes.sphere(radius=1.0, elements=128)
     one, other = (_move(Mesh(ball.positions, ball.triangles), shift) for shift in (-1.0, 1.0))
     mesh = _together(one, other)
-    found = _found(mesh)
+    found = _connectivity(mesh)
     np.testing.assert_allclose(mesh.positions[found.pinched], [[0.0, 0.0, 0.0]], atol=1e-12)
 
 
 def test_parts_that_face_opposite_ways() -> None:
     one, other = _patch(4, 4), _patch(3, 3, low=(2.0, 0.0))
-    assert not len(_found(_together(one, other)).opposed)
-    assert len(_found(_together(one, _flip(other))).opposed) == 1
+    assert not len(_connectivity(_together(one, other)).opposed)
+    assert len(_connectivity(_together(one, _flip(other))).opposed) == 1
     # The front and the back of a parison, each pushed away from the other.
     back = _flip(Mesh(one.positions - [0, 0, 0.2], one.triangles))
-    assert not len(_found(_together(one, back)).opposed)
+    assert not len(_connectivity(_together(one, back)).opposed)
     ball = shapes.sphere(radius=1.0, elements=128)
     near, far = (_move(Mesh(ball.positions, ball.triangles), shift) for shift in (0.0, 3.0))
-    assert not len(_found(_together(near, far)).opposed)
-    assert len(_found(_together(near, _flip(far))).opposed) == 1
+    assert not len(_connectivity(_together(near, far)).opposed)
+    assert len(_connectivity(_together(near, _flip(far))).opposed) == 1
 
 
 def test_joints_of_many_elements_take_no_time_to_speak_of() -> None:

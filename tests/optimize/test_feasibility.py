@@ -240,9 +240,9 @@ class _Rounds:
         self.multiplier: float | None = None
         self.best: Point | None = None
         self._factor, self._costs = factor, costs
-        self.point = self._made(1.0, 0.4)
+        self.point = self._make_point(1.0, 0.4)
 
-    def _made(self, objective: float, violation: float) -> Point:
+    def _make_point(self, objective: float, violation: float) -> Point:
         row = {"multiplier": 1.0}
         point = Point(np.zeros(4), objective, np.zeros(4), objective, np.array([violation]), row)
         if self.best is None or point.rank < self.best.rank:
@@ -266,7 +266,7 @@ class _Rounds:
         while True:
             ending = self.begin()
             if ending:
-                self.point = self._made(point.objective * self._costs, point.violation * self._factor)
+                self.point = self._make_point(point.objective * self._costs, point.violation * self._factor)
                 return self.point, ending
 
 

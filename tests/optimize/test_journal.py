@@ -21,14 +21,14 @@ pytestmark = pytest.mark.quick
 STUDY = "study"
 
 
-def _written(path: Path, count: int = 4) -> list[bytes]:
+def _write_journal(path: Path, count: int = 4) -> list[bytes]:
     journal = Journal(path, STUDY)
     for number in range(count):
         journal.ask("value", [float(number)], lambda number=number: {"value": 10.0 * number, "error": float("nan")})
     return path.read_bytes().splitlines(keepends=True)
 
 
-def _known(path: Path, count: int = 4) -> int:
+def _count_known(path: Path, count: int = 4) -> int:
     """How many answers a resumed journal knows; all of them are right."""
     journal = Journal(path, STUDY, resume=True)
     for number in range(count):
@@ -75,7 +75,7 @@ def test_a_damaged_line_is_named_and_nothing_is_changed(
     tmp_path: Path, damage: Callable[[bytes], bytes], number: int
 ) -> None:
     path = tmp_path / "search.jsonl"
-    lines = _written(path)
+    lines = _write_journal(path)
     lines[number] = damage(lines[number])
     path.write_bytes(b"".join(lines))
     before = path.read_bytes()
@@ -85,18 +85,18 @@ def test_a_damaged_line_is_named_and_nothing_is_changed(
     assert path.read_bytes() == before
     # The remedy works: what comes before the damage is known.
     path.write_bytes(b"".join(lines[:number]))
-    assert _known(path) == number - 1
+    assert _count_known(path) == number - 1
 
 
 def test_a_line_that_was_cut_by_a_kill_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "search.jsonl"
-    lines = _written(path)
+    lines = _write_journal(path)
     for length in range(len(lines[-1])):
         path.write_bytes(b"".join(lines[:-1]) + lines[-1][:length])
-        assert _known(path) == 3
+        assert _count_known(path) == 3
         assert path.read_bytes().count(b"\n") == 5
     path.write_bytes(b"".join(lines))
-    assert _known(path) == 4
+    assert _count_known(path) == 4
 
 
 def _link(path: Path, to: str) -> None:
@@ -123,7 +123,7 @@ def _pipe(path: Path) -> None:
 )
 def test_what_is_no_journal_of_the_study(tmp_path: Path, spoil: Callable[[Path], object], words: str) -> None:
     path = tmp_path / "search.jsonl"
-    _written(path)
+    _write_journal(path)
     spoil(path)
     with pytest.raises(InputError, match=f"--resume.*{words}"):
         Journal(path, STUDY, resume=True)
@@ -131,7 +131,7 @@ def test_what_is_no_journal_of_the_study(tmp_path: Path, spoil: Callable[[Path],
 
 def test_what_another_course_does_not_ask_is_kept_aside(tmp_path: Path) -> None:
     path = tmp_path / "search.jsonl"
-    whole_one = b"".join(_written(path))
+    whole_one = b"".join(_write_journal(path))
     journal = Journal(path, STUDY, resume=True)
     journal.ask("value", [0.0], dict)
     assert journal.ask("value", [7.0], lambda: {"value": 70.0}) == ({"value": 70.0}, False)
@@ -159,7 +159,7 @@ def test_a_folder_that_went_away_is_one_line(tmp_path: Path) -> None:
 
 def test_a_full_disk_is_one_line_and_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "search.jsonl"
-    lines = _written(path)
+    lines = _write_journal(path)
     journal = Journal(path, STUDY, resume=True)
     for number in range(4):
         journal.ask("value", [float(number)], dict)
@@ -167,7 +167,7 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_there(tmp_path: Path, monkey
     with pytest.raises(InputError, match=r"cannot be written \(No space left.*free disk space.*--resume"):
         journal.ask("value", [9.0], dict)
     monkeypatch.undo()
-    assert path.read_bytes() == b"".join(lines) and _known(path) == 4
+    assert path.read_bytes() == b"".join(lines) and _count_known(path) == 4
 
 
 class _Full:

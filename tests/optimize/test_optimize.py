@@ -53,8 +53,8 @@ def test_targets_in_all_their_forms() -> None:
     scene, result = scenes.cup(), _form()
     profile = Profile("radius", (0.0, 1.0), (0.004, 0.008))
     start, end = (np.asarray(x) for x in (scene.parison.positions, result.positions))
-    initial = objectives.Target(scene, profile).wanted(result)
-    final = objectives.Target(scene, profile, initial=False).wanted(result)
+    initial = objectives.Target(scene, profile).target_wall(result)
+    final = objectives.Target(scene, profile, initial=False).target_wall(result)
     np.testing.assert_allclose(initial, profile(start), rtol=1e-12)
     np.testing.assert_allclose(final, profile(end), rtol=1e-12)
     assert np.abs(np.asarray(initial) - np.asarray(final)).max() > 1e-4

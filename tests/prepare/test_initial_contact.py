@@ -22,7 +22,7 @@ from tests import scenes
 RIM = 0.6  # of the opening [m], in a disc of radius 1
 
 
-def flanged(gap: float = 0.0, turn: int = 1, level: int = 0, **options: Any) -> Scene:
+def flange_scene(gap: float = 0.0, turn: int = 1, level: int = 0, **options: Any) -> Scene:
     """A quarter disc over a cup whose flange lies so far above it [m], with its triangles turned either way."""
     sheet = jaxform.shapes.disc(radius=1.0, elements=60, symmetry="quarter")
     profile = [[0.0, 0.4 + gap], [0.45, 0.4 + gap], [RIM, gap], [1.1, gap]]
@@ -47,7 +47,7 @@ def lying(scene: Scene) -> np.ndarray:
 @pytest.mark.parametrize("gap", [0.0, 1e-9, -1e-9, 1e-6, -1e-6])
 def test_what_is_on_the_flange_lies_there_on_the_side_that_is_pushed(gap: float) -> None:
     for turn in (1, -1):
-        scene = flanged(gap, turn)
+        scene = flange_scene(gap, turn)
         places, wall = np.asarray(scene.parison.positions), lying(scene)
         radius = np.hypot(places[:, 0], places[:, 1])
         on_it = radius > RIM + 1e-9
@@ -66,15 +66,15 @@ def test_what_is_on_the_flange_lies_there_on_the_side_that_is_pushed(gap: float)
 
 def test_a_sheet_that_is_through_the_flange_is_refused() -> None:
     with pytest.raises(jaxform.InputError, match="initially penetrates the mold"):
-        flanged(-2e-3)
+        flange_scene(-2e-3)
 
 
 def test_a_flange_beyond_a_hundredth_of_the_thickness_is_flown_to() -> None:
-    assert flanged(2e-4).tables.initial_contact is None
+    assert flange_scene(2e-4).tables.initial_contact is None
 
 
 def test_the_edge_of_the_opening_is_fine_at_once_and_no_node_hangs() -> None:
-    scene = flanged(level=4)
+    scene = flange_scene(level=4)
     forest, tables = scene.tables.forest, scene.tables
     assert forest is not None and forest.fine_at_once is not None and tables.grid is not None
     split = np.zeros(forest.bound.size, bool)
@@ -99,8 +99,8 @@ def test_the_edge_of_the_opening_is_fine_at_once_and_no_node_hangs() -> None:
 
 
 @functools.cache
-def formed(gap: float, level: int) -> tuple[Scene, jaxform.Result]:
-    scene = flanged(gap, level=level)
+def run_on_flange(gap: float, level: int) -> tuple[Scene, jaxform.Result]:
+    scene = flange_scene(gap, level=level)
     return scene, jaxform.run(scene)
 
 
@@ -108,7 +108,7 @@ def formed(gap: float, level: int) -> tuple[Scene, jaxform.Result]:
 def test_a_flange_forms_the_same_part_wherever_rounding_puts_it(gap: float) -> None:
     walls = []
     for place in (0.0, gap):
-        scene, part = formed(place, 2)
+        scene, part = run_on_flange(place, 2)
         assert int(part.status) == 0
         thickness, radius = np.asarray(part.thickness), np.hypot(*np.asarray(scene.parison.positions)[:, :2].T)
         assert float(part.thickness.max()) < 0.0102

@@ -215,9 +215,9 @@ def test_what_a_run_does_not_measure_is_filled(
     part = _lower(first, scene, share * DEPTH)
     noise = np.random.default_rng(0).normal(scale=moved, size=part.positions.shape)
     part = dataclasses.replace(part, positions=part.positions + jnp.asarray(noise))
-    assert may_be_unfilled(part, scene) or not measure_filling(part, scene).unfilled
+    assert may_be_unfilled(part, scene) or not measure_filling(part, scene).is_unfilled
     if not moved and share not in (0.78, 0.82):
-        assert may_be_unfilled(part, scene) == measure_filling(part, scene).unfilled == (share < 0.8)
+        assert may_be_unfilled(part, scene) == measure_filling(part, scene).is_unfilled == (share < 0.8)
 
 
 @pytest.mark.filterwarnings("ignore:nothing touched the mold", "ignore:.*not filled")

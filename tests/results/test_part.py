@@ -39,7 +39,7 @@ def _own_cache() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def formed() -> tuple[jaxform.Scene, Result]:
+def cone() -> tuple[jaxform.Scene, Result]:
     """A cone of the cup's sheet with walls of known, different thickness."""
     scene = scenes.cup()
     first = scenes.at_rest(scene)
@@ -66,8 +66,8 @@ PARTS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_the_summary_and_what_a_search_reports_are_of_the_part(formed: tuple[jaxform.Scene, Result], name: str) -> None:
-    plain, result = formed
+def test_the_summary_and_what_a_search_reports_are_of_the_part(cone: tuple[jaxform.Scene, Result], name: str) -> None:
+    plain, result = cone
     scene = dataclasses.replace(plain, part=jaxform.make_part(**PARTS[name]))
     middle = np.asarray(result.positions)[np.asarray(result.triangles)].mean(1)
     given, mine = PARTS[name], np.ones(len(middle), bool)
@@ -94,44 +94,44 @@ def test_the_summary_and_what_a_search_reports_are_of_the_part(formed: tuple[jax
 
 
 def test_objectives_count_the_part_alone_and_a_scene_without_one_is_as_it_was(
-    formed: tuple[jaxform.Scene, Result],
+    cone: tuple[jaxform.Scene, Result],
 ) -> None:
-    plain, result = formed
+    plain, result = cone
     assert mask_part(result, plain) is result
     scene = dataclasses.replace(plain, part=jaxform.make_part(trim=("z", 0.2, "above")))
     mine = np.asarray(part_elements(result, scene))
     area, walls = formed_areas(result)[mine], np.asarray(result.element_thickness)[mine]
     spread = (area @ np.square(walls - area @ walls / area.sum())) / area.sum() / (area @ walls / area.sum()) ** 2
 
-    def judged(objective: optimize.Objective) -> tuple[float, dict[str, Any]]:
+    def judge(objective: optimize.Objective) -> tuple[float, dict[str, Any]]:
         study = optimize.Study(scene, (), objective)
         search = object.__new__(Search)
         search.study = study
         value, report = search.judge(scene, result, None)
         return float(value), report
 
-    value, report = judged(optimize.Uniform())
+    value, report = judge(optimize.Uniform())
     assert value == pytest.approx(spread, rel=1e-12)
     # What a fixed point changes is the part's: elsewhere the sheet stays as it is.
     nodes = np.unique(np.asarray(result.triangles)[mine])
     others = np.setdiff1d(np.arange(len(report["ratio"])), nodes)
     assert len(others) and np.all(np.asarray(report["ratio"])[others] == 1.0)
     least = optimize.LeastMass(scene, 0.0075)
-    assert judged(least)[0] == pytest.approx(_by_hand(scene, result, mine)["mass"] / least._first_mass)
+    assert judge(least)[0] == pytest.approx(_by_hand(scene, result, mine)["mass"] / least._first_mass)
     excess, weight = least.constraints(scene, mask_part(result, scene))
     assert np.all(np.asarray(weight)[~mine] == 0.0) and float(jnp.sum(weight)) == pytest.approx(1.0)
     np.testing.assert_allclose(np.asarray(excess)[mine], 1.0 - walls / 0.0075)
     # With flash the mass is that of the whole sheet, and the limit is the part's as before.
     counted = optimize.LeastMass(scene, 0.0075, flash=True)
-    assert judged(counted)[0] == pytest.approx(1.0, rel=1e-12) and judged(least)[0] < 0.9
+    assert judge(counted)[0] == pytest.approx(1.0, rel=1e-12) and judge(least)[0] < 0.9
     np.testing.assert_array_equal(counted.constraints(scene, mask_part(result, scene))[0], excess)
 
 
 @pytest.mark.parametrize("densities", [False, True])
 def test_only_a_mass_with_flash_depends_on_the_sheet_outside_the_part(
-    formed: tuple[jaxform.Scene, Result], densities: bool
+    cone: tuple[jaxform.Scene, Result], densities: bool
 ) -> None:
-    plain, result = formed
+    plain, result = cone
     scene = dataclasses.replace(plain, part=jaxform.make_part(trim=("z", 0.2, "above")))
     count = scene.parison.thickness.size
     if densities:
@@ -170,9 +170,9 @@ def test_the_gradient_of_an_objective_over_the_part_is_that_of_central_differenc
 
 
 def test_a_part_that_holds_nothing_is_warned_of_and_a_search_of_it_refused(
-    formed: tuple[jaxform.Scene, Result],
+    cone: tuple[jaxform.Scene, Result],
 ) -> None:
-    plain, result = formed
+    plain, result = cone
     scene = dataclasses.replace(plain, part=jaxform.make_part(trim=("z", 0.9, "above")))
     summary = summarize(result, scene)
     assert any("no element of the formed sheet is in [part]" in words for words in summary["warnings"])
@@ -195,8 +195,8 @@ def test_parts_that_make_no_sense_are_refused(given: dict[str, Any], words: str)
         jaxform.make_part(**given)
 
 
-def test_what_is_cut_off_is_grey(formed: tuple[jaxform.Scene, Result], tmp_path: Path) -> None:
-    plain, result = formed
+def test_what_is_cut_off_is_grey(cone: tuple[jaxform.Scene, Result], tmp_path: Path) -> None:
+    plain, result = cone
     scene = dataclasses.replace(plain, part=jaxform.make_part(trim=("z", 0.2, "above")))
     view = plots.part_picture(scene, result).view
     count = len(np.asarray(result.triangles))
@@ -277,9 +277,9 @@ def test_the_command_writes_and_exports_what_touches_the_molds_that_are_named(
     scenes.assert_refused(tmp_path, text.replace('molds = ["cup.stl"]', ""), "part.*says nothing")
 
 
-def test_what_touches_nothing_belongs_to_what_is_next_to_it(formed: tuple[jaxform.Scene, Result]) -> None:
+def test_what_touches_nothing_belongs_to_what_is_next_to_it(cone: tuple[jaxform.Scene, Result]) -> None:
     """Nodes within a radius stick to the part's triangle, or to another; those further out are free up to the clamp."""
-    plain, result = formed
+    plain, result = cone
     radius = np.linalg.norm(np.asarray(result.positions)[:, :2], axis=1)
     triangles, sticks = np.asarray(result.triangles), radius < 0.51
     assert plain.mold is not None

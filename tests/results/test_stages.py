@@ -15,7 +15,7 @@ REFINED = SCENE + "[refinement]\nangle = 4.0\ninterval = 64\nmax_level = 2\nbase
 
 
 @pytest.fixture(scope="module", params=[SCENE, REFINED], ids=["uniform", "refined"])
-def formed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Result]:
+def stage_result(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Result]:
     path = tmp_path_factory.mktemp("stage") / "scene.toml"
     path.write_text(request.param)
     scene = jaxform.load(path)
@@ -28,8 +28,8 @@ def _volumes(parison: jaxform.Parison) -> np.ndarray:
     return area * np.asarray(parison.thickness)[np.asarray(parison.triangles)].mean(1)
 
 
-def test_the_next_parison_has_the_volume_of_the_part(formed: tuple[Scene, Result]) -> None:
-    scene, result = formed
+def test_the_next_parison_has_the_volume_of_the_part(stage_result: tuple[Scene, Result]) -> None:
+    scene, result = stage_result
     volume = np.asarray(result.element_volume)
     assert volume[np.asarray(result.used)].size > 30
     parison = jaxform.parison_of(result, scene)
@@ -40,8 +40,8 @@ def test_the_next_parison_has_the_volume_of_the_part(formed: tuple[Scene, Result
     assert np.std(np.asarray(parison.thickness)) > 0.1 * np.mean(np.asarray(parison.thickness))
 
 
-def test_the_next_parison_is_a_scene_of_the_same_mass(formed: tuple[Scene, Result]) -> None:
-    scene, result = formed
+def test_the_next_parison_is_a_scene_of_the_same_mass(stage_result: tuple[Scene, Result]) -> None:
+    scene, result = stage_result
     following = jaxform.build_scene(
         parison=jaxform.parison_of(result, scene),
         material=scene.material,
@@ -55,8 +55,8 @@ def test_the_next_parison_is_a_scene_of_the_same_mass(formed: tuple[Scene, Resul
     np.testing.assert_allclose(scenes.at_rest(following).mass, result.mass, rtol=1e-12)
 
 
-def test_reference_positions_are_those_of_the_same_nodes(formed: tuple[Scene, Result]) -> None:
-    result = formed[1]
+def test_reference_positions_are_those_of_the_same_nodes(stage_result: tuple[Scene, Result]) -> None:
+    result = stage_result[1]
     used = np.asarray(result.used)
     start = np.asarray(result.reference)[np.asarray(result.triangles)[used]]
     end = np.asarray(result.positions)[np.asarray(result.triangles)[used]]
@@ -70,8 +70,8 @@ def test_reference_positions_are_those_of_the_same_nodes(formed: tuple[Scene, Re
     np.testing.assert_allclose(area(end) * wall, np.asarray(result.element_volume)[used], rtol=1e-9)
 
 
-def test_a_scene_and_its_result_are_one_short_line(formed: tuple[Scene, Result]) -> None:
-    scene, result = formed
+def test_a_scene_and_its_result_are_one_short_line(stage_result: tuple[Scene, Result]) -> None:
+    scene, result = stage_result
     for one in (scene, result, scene.parison, scene.material, result.energy):
         assert "\n" not in repr(one) and len(repr(one)) < 400
     assert repr(scene).startswith("Scene('small': ") and "mold of" in repr(scene)

@@ -39,7 +39,7 @@ def test_a_free_disc_converges_at_second_order() -> None:
 
 def test_static_sphere_of_the_modified_law() -> None:
     # Below the sphere's limit point, beyond which the pressure does not fix the stretch.
-    error, _ = cases.static_sphere_error(500, cases.modified(0.01), 1.2)
+    error, _ = cases.static_sphere_error(500, cases.paper_law(0.01), 1.2)
     assert abs(error) < 3e-3
 
 

@@ -43,14 +43,14 @@ def _radius() -> np.ndarray:
     return np.linalg.norm(np.asarray(scenes.cup(24, 12.0).parison.positions), axis=1)
 
 
-def _refined() -> jaxform.Scene:
+def _refinement_scene() -> jaxform.Scene:
     """Ogden's law, one list of whose numbers and whose density vary over the sheet; refined where it bends."""
     terms = jnp.asarray(np.stack([1.8 + 0.3 * _radius(), 0.05 + 0.01 * _radius()]))
     law = jaxform.Ogden(terms, jnp.asarray([2.2, 5.0]), jnp.asarray(1.0 + 0.1 * _radius()))
     return _cup(material=law, refinement=jaxform.make_refinement(angle=8.0, interval=64, max_level=2, elements=96))
 
 
-def _cooled() -> jaxform.Scene:
+def _cooling_scene() -> jaxform.Scene:
     """A sheet that cools by a fifth of its warmth while it is formed, and stiffens; refined as well."""
     plain = scenes.cup(24, 6.0)
     shift = jaxform.ArrheniusStiffness(real(140.0), real(40e3))
@@ -69,7 +69,7 @@ def _cooled() -> jaxform.Scene:
     )
 
 
-def _plugged() -> jaxform.Scene:
+def _plug_scene() -> jaxform.Scene:
     """A heavy sheet with Christensen's modes, which slides on a plug that rises into it."""
     shape = molds.revolved(profile=[[0.0, -0.02], [0.42, -0.02], [0.47, -0.6]], segments=48)
     motion = jaxform.make_motion([0.0, 0.0, 1.0], [0.0, 8.0], [0.0, 0.5])
@@ -83,7 +83,7 @@ def _plugged() -> jaxform.Scene:
     )
 
 
-def _wrinkled() -> jaxform.Scene:
+def _balloon_scene() -> jaxform.Scene:
     """An eighth of two discs that are joined along their rims; a plate stops the balloon whose rim has wrinkled."""
     sheet = shapes.disc(radius=1.0, elements=60, symmetry="quarter")
     fixed, free = np.array(sheet.fixed), np.zeros(len(sheet.positions), bool)
@@ -98,7 +98,7 @@ def _wrinkled() -> jaxform.Scene:
     )
 
 
-def _added() -> jaxform.Scene:
+def _extension_scene() -> jaxform.Scene:
     """All that a user may add: a law, a gas with a temperature of its own, and a field."""
     field = Cooling(jnp.asarray(150.0 + 30.0 * _radius()), *map(real, (0.02, 0.3, 20.0, 10.0)))
     gas = WarmGas(*map(real, (0.1, 1.0, 0.03, 16.0, 1.5, 1.0, 2.5, 0.1, 1.0)))
@@ -114,11 +114,11 @@ YEOH = ["material.c1", "material.c2", "material.c3", "material.density"]
 PLUG = ["mold.motion.displacement", "mold.motion.time", "mold.contact.friction"]
 MAKE: dict[str, tuple[Callable[[], jaxform.Scene], list[str]]] = {
     "plain": (_cup, [*PLAIN, "material.c", "material.alpha", "material.density"]),
-    "refined": (_refined, [*PLAIN[:3], "material.mu", "material.alpha", "material.density"]),
-    "cooled": (_cooled, [*COOLED, *MODES]),
-    "plugged": (_plugged, [*PLUG, "solver.gravity", "parison.thickness", "material.c", "material.density", *MODES]),
-    "wrinkled": (_wrinkled, ["material.c", "parison.thickness", "pressure.value"]),
-    "added": (_added, [*GAS, *YEOH, "fields.temperature.initial", "fields.temperature.mold_rate", PLAIN[0]]),
+    "refined": (_refinement_scene, [*PLAIN[:3], "material.mu", "material.alpha", "material.density"]),
+    "cooled": (_cooling_scene, [*COOLED, *MODES]),
+    "plugged": (_plug_scene, [*PLUG, "solver.gravity", "parison.thickness", "material.c", "material.density", *MODES]),
+    "wrinkled": (_balloon_scene, ["material.c", "parison.thickness", "pressure.value"]),
+    "added": (_extension_scene, [*GAS, *YEOH, "fields.temperature.initial", "fields.temperature.mold_rate", PLAIN[0]]),
 }
 
 

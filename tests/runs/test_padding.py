@@ -114,17 +114,19 @@ def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
     beyond[room.order.node] = False
     assert beyond.any() and scene.mold is not None and own.mold is not None and scene.tables.grid is not None
 
-    def moved(values: Any, where: Any) -> jax.Array:
+    def perturb(values: Any, where: Any) -> jax.Array:
         return jnp.where(where.reshape(-1, *[1] * (np.ndim(values) - 1)), 7.0 + 0.5 * jnp.asarray(values), values)
 
     mold, grid = scene.mold, scene.tables.grid
     other_rows = np.arange(len(mold.triangles)) >= len(own.mold.triangles)
-    vertices = moved(mold.vertices, np.arange(len(mold.vertices)) >= len(own.mold.vertices))
-    grid = dataclasses.replace(grid, frames=moved(grid.frames, other_rows), outlines=moved(grid.outlines, other_rows))
+    vertices = perturb(mold.vertices, np.arange(len(mold.vertices)) >= len(own.mold.vertices))
+    grid = dataclasses.replace(
+        grid, frames=perturb(grid.frames, other_rows), outlines=perturb(grid.outlines, other_rows)
+    )
     parison = dataclasses.replace(
         scene.parison,
-        positions=moved(scene.parison.positions, beyond),
-        thickness=moved(scene.parison.thickness, beyond),
+        positions=perturb(scene.parison.positions, beyond),
+        thickness=perturb(scene.parison.thickness, beyond),
     )
     changed = dataclasses.replace(
         scene,

@@ -61,7 +61,7 @@ def on_platen() -> trimesh.Trimesh:
     return unite(slab, trimesh.convex.convex_hull(np.concatenate(rings)))
 
 
-def split_and_mixed(solid: trimesh.Trimesh) -> trimesh.Trimesh:
+def split_and_mix(solid: trimesh.Trimesh) -> trimesh.Trimesh:
     """The same with corners of each triangle's own, some of which turn the other way."""
     faces = np.arange(3 * len(solid.faces)).reshape(-1, 3)
     faces[::3] = faces[::3, ::-1]
@@ -76,7 +76,7 @@ BUCKS = {
     "cone on platen": as_mesh(on_platen()),
     "dome": dome(),
     "rough dome": dome(rough=0.004),
-    "split and mixed": as_mesh(split_and_mixed(drafted_block())),
+    "split and mixed": as_mesh(split_and_mix(drafted_block())),
     "two": as_mesh(unite(drafted_block(), drafted_block().apply_translation([0.2, 0, 0]))),
     "open below": as_mesh(
         trimesh.Trimesh(drafted_block().vertices, drafted_block().faces[drafted_block().face_normals[:, 2] > -0.9])

@@ -64,7 +64,7 @@ def plug(folder: Path, further: str = "", **changed: str) -> jaxform.Scene:
 
 
 @pytest.fixture(scope="module")
-def formed(tmp_path_factory: pytest.TempPathFactory) -> tuple[jaxform.Scene, Result]:
+def plug_result(tmp_path_factory: pytest.TempPathFactory) -> tuple[jaxform.Scene, Result]:
     scene = plug(tmp_path_factory.mktemp("plug"))
     return scene, jaxform.run(scene)
 
@@ -137,9 +137,9 @@ def _annulus(inner: float) -> np.ndarray:
     return np.stack([middle, 1.0 / np.asarray(one * other)])
 
 
-def test_a_plug_that_lifts_a_disc_stretches_it_as_least_energy_does(formed: tuple[jaxform.Scene, Result]) -> None:
+def test_a_plug_that_lifts_a_disc_stretches_it_as_least_energy_does(plug_result: tuple[jaxform.Scene, Result]) -> None:
     """The plug's flat top holds what lies over it; from there to the rim the sheet is an annulus without load."""
-    scene, result = formed
+    scene, result = plug_result
     assert int(result.status) == 0 and float(result.energy.balance_error) < 1e-3
     assert float(result.energy.external_work) == 0.0 and float(result.energy.tool_work) > 0.1
     start, held = np.asarray(scene.parison.positions), np.asarray(result.wall) != 0
@@ -173,8 +173,8 @@ def test_a_refined_sheet_on_a_plug(tmp_path: Path) -> None:
     assert np.all(held[inside] != 0)
 
 
-def test_files_have_the_mold_where_it_is_in_the_end(formed: tuple[jaxform.Scene, Result], tmp_path: Path) -> None:
-    scene, result = formed
+def test_files_have_the_mold_where_it_is_in_the_end(plug_result: tuple[jaxform.Scene, Result], tmp_path: Path) -> None:
+    scene, result = plug_result
     summary = output.write_result(scene, result, tmp_path)
     assert summary["warnings"] == [] and summary["penetration_max"] < 1e-9
     np.testing.assert_allclose(summary["energy"]["tool_work"], result.energy.tool_work)
@@ -212,8 +212,8 @@ def test_a_mold_must_move_along_the_symmetry_planes(tmp_path: Path) -> None:
         plug(tmp_path, displacement="[0.01, 0.052]")
 
 
-def test_frames_show_the_mold_where_it_is(formed: tuple[jaxform.Scene, Result], tmp_path: Path) -> None:
-    scene, result = formed
+def test_frames_show_the_mold_where_it_is(plug_result: tuple[jaxform.Scene, Result], tmp_path: Path) -> None:
+    scene, result = plug_result
     assert scene.mold is not None
     frames = Frames(tmp_path, 2)
     frames.begin(scene)

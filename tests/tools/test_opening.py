@@ -36,7 +36,7 @@ def box(low: tuple[float, ...], high: tuple[float, ...], *, lid: bool = True) ->
     return Mesh(np.array(low) + at * (np.array(high) - low), np.array(triangles, np.int32))
 
 
-def l_shaped() -> Mesh:
+def l_tray() -> Mesh:
     """A bare tray, an L of 0.2 m with arms 0.1 m wide, 0.03 m deep."""
     corners = np.array([[0, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0, 0.2]])
     points = np.concatenate([np.insert(corners, 2, z, axis=1) for z in (0.0, 0.03)])
@@ -83,7 +83,7 @@ def test_a_tray_has_a_rectangle_and_an_l_its_outline():
     assert isinstance(sheet, OrientedRectangle)
     np.testing.assert_allclose(np.sort(sheet.sides), [0.1, 0.2], rtol=1e-9)
     np.testing.assert_allclose(abs(np.degrees(sheet.angle)), 20.0, rtol=1e-6)
-    mold = l_shaped()
+    mold = l_tray()
     found = opening.find_opening(mold.positions, mold.triangles)
     sheet, _ = footprint.fit_planform(found, mold.positions, mold.triangles)
     seen = {
@@ -93,7 +93,7 @@ def test_a_tray_has_a_rectangle_and_an_l_its_outline():
 
 
 def test_a_sheet_over_the_rim_lies_in_its_plane_with_normals_into_the_mold():
-    mold = turn(l_shaped(), TURNS[3])
+    mold = turn(l_tray(), TURNS[3])
     sheet = footprint.sheet_over_opening(mold.positions, mold.triangles, elements=100)
     axes = molds.rotation(np.array(TURNS[3]))
     np.testing.assert_allclose((sheet.positions - [0.3, -0.2, 0.5]) @ axes[:, 2], 0.0, atol=1e-9)

@@ -32,7 +32,7 @@ def _dome() -> Mold:
     return make_mold(shape.vertices, shape.triangles)
 
 
-def _crumpled(seed: int, scale: float) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+def _crumple(seed: int, scale: float) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
     sheet = shapes.disc(radius=0.1, elements=150)
     positions = np.array(sheet.positions)
     positions[:, 2] += 0.05 * (1 - (np.hypot(*positions[:, :2].T) / 0.1) ** 2)
@@ -57,7 +57,7 @@ def _measure_all(
 def test_what_is_left_out_is_never_the_deepest_nor_the_widest(
     make: Callable[[], Mold], scale: float, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mold, (positions, triangles) = make(), _crumpled(seed, scale)
+    mold, (positions, triangles) = make(), _crumple(seed, scale)
     free, unclamped = np.zeros(len(positions), int), np.zeros(len(positions), bool)
     cut = penetration(positions, triangles, free, mold)
     gaps = [widest_gap(positions, triangles, free, unclamped, push, mold) for push in (1.0, -1.0)]
@@ -83,7 +83,7 @@ def test_elements_as_large_as_the_mold_are_cut_small_only_near_it(
         return found
 
     monkeypatch.setattr(crossings, "short_pieces", count)
-    mold, (positions, triangles) = make(), _crumpled(0, 0.05)
+    mold, (positions, triangles) = make(), _crumple(0, 0.05)
     corners, grid = positions[triangles], build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
     walls = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
     pairs = [np.stack(part) for part in crossings.near_pairs(corners, walls, grid)]

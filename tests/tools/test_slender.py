@@ -22,7 +22,7 @@ def _sheet() -> tuple[np.ndarray, np.ndarray]:
     return corners, corners.reshape(-1, 3)[rim]
 
 
-def _found(*bodies: trimesh.Trimesh, side: float = SIDE) -> Ribs | None:
+def _find_ribs(*bodies: trimesh.Trimesh, side: float = SIDE) -> Ribs | None:
     """What is found of bodies that stand on a floor of 120 mm, 30 mm below the sheet."""
     floor = trimesh.creation.box(extents=(0.12, 0.12, 0.01))
     floor.apply_translation((0.0, 0.0, -0.005))
@@ -43,7 +43,7 @@ def test_a_rib_has_its_height_width_and_place(width: float, turned: float) -> No
     rib = _box(width, 0.06, 0.018)
     rib.apply_transform(trimesh.transformations.rotation_matrix(turned, (0, 0, 1)))
     rib.apply_translation((0.011, -0.007, 0.0))
-    found = _found(rib)
+    found = _find_ribs(rib)
     assert found is not None
     np.testing.assert_allclose(found.height, 0.018, rtol=1e-6)
     # To two pixels of an eighth of an element at each side.
@@ -57,7 +57,7 @@ def test_a_rib_has_its_height_width_and_place(width: float, turned: float) -> No
 def test_the_highest_is_named_and_a_pin_counts() -> None:
     pin = trimesh.creation.cylinder(radius=0.001, height=0.025)
     pin.apply_translation((0.02, 0.02, 0.0125))
-    found = _found(_box(0.002, 0.06, 0.018), pin)
+    found = _find_ribs(_box(0.002, 0.06, 0.018), pin)
     assert found is not None
     np.testing.assert_allclose(found.height, 0.025, rtol=1e-6)
     np.testing.assert_allclose(found.place[:2], 0.02, atol=SIDE / 4)
@@ -74,15 +74,15 @@ def test_the_highest_is_named_and_a_pin_counts() -> None:
     ids=["block", "low", "ball", "cone"],
 )
 def test_what_an_element_can_lie_on_is_no_rib(body: trimesh.Trimesh) -> None:
-    assert _found(body) is None
+    assert _find_ribs(body) is None
 
 
 def test_finer_elements_lie_on_it() -> None:
     rib = _box(0.006, 0.06, 0.018)
-    assert _found(rib) is not None
-    assert _found(rib, side=0.003) is None
+    assert _find_ribs(rib) is not None
+    assert _find_ribs(rib, side=0.003) is None
 
 
 def test_a_wall_beside_the_clamped_rim_is_the_molds_own() -> None:
     walls = [_box(0.002, 0.1, 0.03, at=(sign * 0.049, 0.0)) for sign in (-1, 1)]
-    assert _found(*walls) is None
+    assert _find_ribs(*walls) is None
