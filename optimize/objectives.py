@@ -44,7 +44,9 @@ class Objective:
         Raises:
             InputError: If the value is not a sum of squares.
         """
-        raise InputError("is not a sum of squares", "use the method lbfgs or adam", "solver.method", "least-squares")
+        raise InputError(
+            "needs an objective that is a sum of squares", "use lbfgs or adam", "solver.method", "least-squares"
+        )
 
     def constraints(self, scene: Scene, result: Result) -> tuple[jax.Array, jax.Array]:
         """Constraints of the objective; none by default.

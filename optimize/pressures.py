@@ -70,7 +70,7 @@ class PressureKnots:
     def _check_rate(self, rate: float) -> None:
         if not 0.0 < rate < np.inf or len(self._time) < 2:
             remedy = "give Pa/s > 0 and a history of two knots or more"
-            raise InputError("limits nothing", remedy, "variable.rate", rate)
+            raise InputError("has no effect", remedy, "variable.rate", rate)
 
     def _check_first(self, knots: int) -> None:
         if self._first is not None and knots < 2:

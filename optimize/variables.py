@@ -158,16 +158,16 @@ def _interval(last: Any, step: Any, bounds: Bounds, rising: bool) -> tuple[jax.A
 
 
 def _no_number(scene: Scene, key: str) -> str:
-    """Description of a key of a tool or of the gas that is no number of the scene."""
+    """Description of a key of a tool or of the gas that is not a number of the scene."""
     if key.startswith("gas."):
-        return "is no number of the scene" + ("" if hasattr(scene.pressure, "dead_volume") else ", which has no gas")
+        return "is not a number of the scene" + ("" if hasattr(scene.pressure, "dead_volume") else ", which has no gas")
     known = [
         file_key(f"{part}.{path}")
         for part in [*(["mold"] if scene.mold is not None else []), *(f"tools.{tool.name}" for tool in scene.tools)]
         for path in ("contact.friction", "motion.displacement", "motion.time")
         if number_at(scene, f"{part}.{path}") is not None
     ]
-    return f"is no number of the scene; those of its tools are {', '.join(known) or 'none'}"
+    return f"is not a number of the scene; those of its tools are {', '.join(known) or 'none'}"
 
 
 class Scale:

@@ -84,7 +84,7 @@ def read_text(path: Path, most: int = MOST_TEXT, name: str | Path | None = None)
         text = read_bytes(path, most, name).decode("utf-8-sig")
     except UnicodeDecodeError:
         value = str(path if name is None else name)
-        raise InputError("is not a string file in UTF-8", "save it as UTF-8", value=value) from None
+        raise InputError("is not a text file in UTF-8", "save it as UTF-8", value=value) from None
     return text.replace("\r\n", "\n")
 
 

@@ -248,7 +248,7 @@ def as_numbers(key: str, given: ArrayLike) -> Any:
     """
     import numpy as np
 
-    remedy = "give real numbers, as many in one row as in another"
+    remedy = "give real numbers, in rows of the same length"
     try:
         values = np.asarray(given)
     except (ValueError, TypeError) as error:

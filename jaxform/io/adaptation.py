@@ -109,8 +109,8 @@ def _check_end(result: Result, number: int) -> None:
     """Raises where a run has no wall from which a size can be found."""
     wall = np.asarray(result.thickness)
     if not np.isfinite(wall).all() or not (wall > 0.0).all() or int(result.status) & _STOPS:
-        problem = f"run {number} of its passes stopped: {explain(result)}"
-        raise InputError(problem, "mend the scene without parison.adapt first", "parison.adapt")
+        problem = f"adaptation pass {number} stopped: {explain(result)}"
+        raise InputError(problem, "correct the scene without parison.adapt first", "parison.adapt")
 
 
 def adaptable(document: SceneDocument, **wanted: Any) -> SceneDocument:

@@ -71,7 +71,7 @@ def draft_bottle(
         raise InputError(problem, "leave --process out for a sheet that is formed into it")
     around = body.radius / (neck * _FIT * _BODY)
     if around > _HOOP:
-        problem = f"would be stretched {around:.2g} times around: its neck is narrow for its body"
+        problem = f"would be stretched {around:.2g} times in hoop direction: its neck is narrow compared with its body"
         raise InputError(problem, "write the scene by hand from stretch-blow-bottle, with a wider preform")
     preform = _preform(body, neck)
     gain = make_meridian(body.profile).area / make_meridian(preform).area
@@ -95,7 +95,7 @@ def _find_body(surface: Mesh) -> tuple[BottleBody | None, Revolution]:
     try:
         outside = bottles.find_body(surface)
     except InputError as error:
-        raise replace(error, problem=f"is no body of revolution, and {error.problem}") from None
+        raise replace(error, problem=f"is not a body of revolution, and {error.problem}") from None
     return outside, bottles.mean_revolution(outside.mesh)[0]
 
 
@@ -174,7 +174,8 @@ def _describe(
     around, along = stretches
     yield (
         f"preform: {1e3 * end:.3g} mm long, {1e3 * thickness:.3g} mm thick, {mass:.3g} g; stretched "
-        f"{around:.2g} times around and {along:.2g} along, to a mean wall of {1e3 * wall:.2g} mm"
+        f"{around:.2g} times in hoop direction and {along:.2g} times along the axis, to a mean wall of "
+        f"{1e3 * wall:.2g} mm"
     )
     yield "guessed: preform, rod, air and times; the material is a placeholder"
 

@@ -118,7 +118,7 @@ def warn(made: Drape, scale: float) -> None:
     if slender > _SLENDER:
         problem = (
             f"is {slender:.2g} times as high as it is wide, and the sheet's area grows to about {made.draw:.2g} times: "
-            "it folds to webs there, thins and may burst"
+            "it folds into webs there, thins and may burst"
         )
         warn_of(problem, "lay it down with another --direction, or form it in parts", key="--mold")
     if not made.buck.flat:

@@ -292,7 +292,7 @@ def make_gas(
 
 def _check_supply(pressure: ArrayLike, ambient: float, closed_by: str) -> None:
     """Raises InputError for a vacuum inside the sheet, or for less than none."""
-    least, given = (0.0, "is below 0") if closed_by == "clamp" else (-ambient, "is no pressure above vacuum")
+    least, given = (0.0, "is below 0") if closed_by == "clamp" else (-ambient, "is not a pressure above vacuum")
     lowest = float(np.min(np.asarray(pressure, float)))
     if lowest < 0.0 and lowest <= least:
         remedy = 'give gauge pressures >= 0 [Pa]; a vacuum, above -ambient_pressure, needs closed_by = "mold"'
@@ -411,13 +411,13 @@ def make_two_sided_load(inside: Loading, trapped: Gas) -> TwoSidedLoad:
         InputError: The second is no gas that is closed by the mold, or the first is one.
     """
     if not isinstance(trapped, Gas) or trapped.closed_by != "mold":
-        raise InputError("is no gas closed by the mold", 'use make_gas(..., closed_by="mold")', "pressure.trapped")
+        raise InputError("is not a gas closed by the mold", 'use make_gas(..., closed_by="mold")', "pressure.trapped")
     if (
         not isinstance(inside, Loading)
         or isinstance(inside, TwoSidedLoad)
         or getattr(inside, "closed_by", "") == "mold"
     ):
-        raise InputError("is no load inside the sheet", "use make_pressure or make_gas", "pressure.inside")
+        raise InputError("is not a load inside the sheet", "use make_pressure or make_gas", "pressure.inside")
     return TwoSidedLoad(inside, trapped)
 
 

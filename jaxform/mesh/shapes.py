@@ -342,7 +342,7 @@ def tube(
     both = [ends, ends] if isinstance(ends, str) else list(ends)
     if len(both) != 2 or any(end not in ("clamped", "guided", "free") for end in both):
         raise InputError(
-            "is no kind of ends", "use clamped, guided or free, for both or one for each", "parison.ends", ends
+            "is not a kind of ends", "use clamped, guided or free, for both or one for each", "parison.ends", ends
         )
     heights = np.linspace(0.0, length, 1001)
     arc = 2.0 * math.pi / parts * float(np.interp(heights, profile.at, profile.value).mean())

@@ -85,7 +85,7 @@ def make_part(
         InputError: Nothing is given, a number is not finite, or a box has no volume.
     """
     if box is None and trim is None and walls is None and all(each is None for each in tool_walls):
-        raise InputError("says nothing", "give box, trim or walls", "part")
+        raise InputError("is empty", "give box, trim or walls", "part")
     return Part(
         None if box is None else as_real(_box(box)),
         None if trim is None else _trim(*trim),

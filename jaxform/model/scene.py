@@ -379,7 +379,9 @@ def _pre_stretch(given: ArrayLike, positions: np.ndarray) -> np.ndarray:
     """Stretches along x and y (2,), checked."""
     key = "parison.pre_stretch"
     values = as_numbers(key, given)
-    require(values.shape == (2,), "is no pair of stretches", key, np.asarray(given).tolist(), "give [along x, along y]")
+    require(
+        values.shape == (2,), "is not a pair of stretches", key, np.asarray(given).tolist(), "give [along x, along y]"
+    )
     check(key, values)
     flat = np.ptp(positions[:, 2]) <= 1e-9 * np.ptp(positions, axis=0).max()
     require(flat, "stretches a sheet that is not flat", key, values.tolist(), "give a sheet in a plane z = const")
@@ -419,7 +421,7 @@ def make_solver(
     weighs = None if gravity is None else as_numbers("solver.gravity", gravity)
     if weighs is not None:
         remedy = "give three numbers [m/s^2], such as [0, 0, -9.81]"
-        require(weighs.shape == (3,), "is no vector", "solver.gravity", np.asarray(gravity).tolist(), remedy)
+        require(weighs.shape == (3,), "is not a vector", "solver.gravity", np.asarray(gravity).tolist(), remedy)
         check("solver.gravity", weighs)
     return Solver(
         end_time=as_real(end_time),

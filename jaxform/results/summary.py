@@ -296,8 +296,8 @@ def _warnings_of_inertia(result: Result, scene: Scene) -> list[str]:
         remedy += ", move the mold more slowly (later mold.motion.time)"
     remedy += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
     return [
-        f"this process is not quasi-static (solver.quasi_static): {what}, so the wall may be about {100 * error:.2g} % "
-        f"off that that of a slow process; {remedy}"
+        f"this process is not quasi-static (solver.quasi_static): {what}, so the wall may differ by about "
+        f"{100 * error:.2g} % from that of a slow process; {remedy}"
     ]
 
 

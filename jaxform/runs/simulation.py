@@ -200,11 +200,11 @@ def sensitivity(
     """
     check_scene(scene)
     if scene.refinement is not None:
-        raise InputError("is refined, so that its nodes are not those of one mesh", "leave refinement out", "scene")
+        raise InputError("is refined: its nodes change during the run", "leave refinement out", "scene")
     positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
     present = number_at(scene, path)
     if present is None or np.shape(present) not in ((), (len(positions),)):
-        raise InputError("is no field over the sheet", 'name one such as "parison.thickness"', "path", path)
+        raise InputError("is not a field over the sheet", 'name one such as "parison.thickness"', "path", path)
     values = jnp.broadcast_to(jnp.asarray(present), len(positions))
     slope = jax.grad(lambda field: function(simulate(replace(scene, {path: field}))))(values)
     around = np.bincount(triangles.reshape(-1), np.repeat(areas(positions, triangles) / 3.0, 3), len(positions))
@@ -257,7 +257,7 @@ def _rows(changes: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
 def _row_count(rows: Mapping[str, np.ndarray]) -> int:
     counts = {path: len(values) if values.ndim else 0 for path, values in rows.items()}
     if not rows or min(counts.values()) == 0 or len(set(counts.values())) > 1:
-        raise InputError("needs as many rows for one path as for another", "stack a row per design", "changes", counts)
+        raise InputError("needs the same number of rows for every path", "stack a row per design", "changes", counts)
     return next(iter(counts.values()))
 
 

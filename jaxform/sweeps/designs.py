@@ -108,7 +108,7 @@ def _header(cells: list[str], file: str) -> list[str]:
         if not cell:
             raise InputError(f"has no name for column {number}", "give the path of a number of the scene", file=file)
         if cell in cells[: number - 1]:
-            raise InputError("is there twice", "keep one of the columns", key=cell, file=file)
+            raise InputError("occurs twice", "keep one of the columns", key=cell, file=file)
         with files.error_context(file):
             parse_path(cell)
     return cells
@@ -149,7 +149,7 @@ def parse_path(path: str) -> list[Step]:
         found = _STEP.fullmatch(part)
         if found is None:
             remedy = "write it as mold.depth, or pressure.value[1] for an element of a list"
-            raise InputError("is no path of a scene file", remedy, key=path)
+            raise InputError("is not a path of a scene file", remedy, key=path)
         steps += [found[1], *map(int, re.findall(r"-?\d+", found[2]))]
     return steps
 
@@ -169,20 +169,22 @@ def set_value(data: dict[str, Any], path: str, value: Any) -> None:
             step = _tool_number(tables, step, path)
         if isinstance(step, int):
             if not isinstance(place, list):
-                raise InputError("is no list in the scene", "name the key alone, or give the scene a list there", path)
+                raise InputError("is not a list in the scene", "name the key alone, or write a list there", path)
             if not -len(place) <= step < len(place):
                 problem = f"is not there: the scene's list has {len(place)} elements"
                 raise InputError(problem, "count from 0, or -1 for the last", path)
         elif not isinstance(place, dict):
-            raise InputError("is in no table of the scene", "name the key alone, or give the scene a table there", path)
+            raise InputError(
+                "does not belong to a table of the scene", "name the key alone, or write a table there", path
+            )
         entries: Any = place  # a table or a list
         if following is None:
             entries[step] = value
         elif isinstance(place, dict):
             if step == "tool" and step not in place:
-                raise InputError("is no tool of the scene, which has none", "add it to the scene as [[tool]]", path)
+                raise InputError("is not a tool of the scene, which has none", "add it to the scene as [[tool]]", path)
             if isinstance(following, int) and step not in place:
-                raise InputError("is no list in the scene", "name the key alone, or give the scene a list there", path)
+                raise InputError("is not a list in the scene", "name the key alone, or write a list there", path)
             place = place.setdefault(step, {})
         else:
             place = entries[step]
@@ -202,7 +204,7 @@ def _tool_number(tables: list[Any], name: str, path: str) -> int:
     number = schema.find_tool(tables, name)
     if number is None:
         known = [schema.tool_name(table, k) for k, table in enumerate(tables, 1)]
-        raise InputError("is no tool of the scene", f"its tools are {', '.join(known) or 'none'}", path)
+        raise InputError("is not a tool of the scene", f"its tools are {', '.join(known) or 'none'}", path)
     return number
 
 
@@ -378,7 +380,7 @@ def sample(table: SweepTable) -> list[dict[str, Any]]:
         InputError: There are too many designs.
 
     Warns:
-        InputWarning: A Sobol sequence has a number of designs that is no power of two.
+        InputWarning: A Sobol sequence has a number of designs that is not a power of two.
     """
     paths = [variable.path for variable in table.variable]
     if table.method == "factorial":
@@ -404,7 +406,7 @@ def _shares(table: SweepTable) -> np.ndarray:
         return qmc.LatinHypercube(dimension, rng=table.seed).random(count)
     if count & (count - 1):
         lower = 1 << (count.bit_length() - 1)
-        words = f"is no power of two: the points of a Sobol sequence are balanced for {lower} or {2 * lower}"
+        words = f"is not a power of two: the points of a Sobol sequence are balanced for {lower} or {2 * lower}"
         warn_of(words, "choose one of these", key="sweep.designs", value=count)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # SciPy's own words for the same

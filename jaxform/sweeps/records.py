@@ -162,7 +162,7 @@ def read_rows(path: Path) -> list[Row]:
     """The rows of a table that was written before; a last line that was not written to its end is left out."""
     text = disk.read_text(path, disk.MOST_MESH)
     whole = text[: text.rfind("\n") + 1]
-    remedy = "begin anew with --force, or choose another folder"
+    remedy = "start again with --force, or choose another folder"
     try:
         rows = list(csv.DictReader(io.StringIO(whole, newline=""), strict=True))
     except csv.Error as error:

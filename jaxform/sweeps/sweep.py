@@ -108,7 +108,7 @@ def _designs(given: Sequence[Any], scene: str | Path | None, about: str) -> list
             rows.append({SCENE: str(one)})
         elif not isinstance(one, Scene):
             remedy = "give a scene, the name of one, or a mapping of paths to values"
-            raise InputError("is no scene and no design", remedy, f"scenes_or_designs[{place}]", one)
+            raise InputError("is neither a scene nor a design", remedy, f"scenes_or_designs[{place}]", one)
     for path in {path for row in rows for path in row}:
         parse_path(path)
     table = Rows(_DESIGNS, Path.cwd(), list(dict.fromkeys(path for row in rows for path in row)), rows)
@@ -148,7 +148,7 @@ def _pool(executor: Any, workers: int | None, count: int) -> tuple[Executor, boo
     if hasattr(executor, "scheduler_info"):
         return DaskWorkers(executor), False
     remedy = "give a concurrent.futures executor or a Dask client, or leave it out"
-    raise InputError("is no executor", remedy, "executor", executor)
+    raise InputError("is not an executor", remedy, "executor", executor)
 
 
 def _name(function: Callable[..., Any]) -> str:
@@ -158,7 +158,7 @@ def _name(function: Callable[..., Any]) -> str:
 def _check_function(function: Any, executor: Any) -> None:
     """Raises for a function that other processes cannot import; executors of others may have ways of their own."""
     if not callable(function):
-        raise InputError("is no function", "give a function of a scene", "function", function)
+        raise InputError("is not a function", "give a function of a scene", "function", function)
     if executor is not None:
         return
     main = sys.modules["__main__"]

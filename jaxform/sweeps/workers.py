@@ -157,7 +157,7 @@ class DaskWorkers(Executor):
         """
         count = self._check_versions()
         if not count and not self._waiting:
-            problem = "has 0 workers: they are waited for"
+            problem = "has no workers yet: the sweep waits for them"
             warn_of(
                 problem,
                 f"start some with `dask worker {self.address}`, or end this with Ctrl-C",
@@ -173,7 +173,7 @@ class DaskWorkers(Executor):
             fresh = sorted(present - self._known)
             found = self._ask(fresh) if fresh else {}
         except (OSError, TimeoutError, CancelledError) as error:
-            problem = f"is gone ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+            problem = f"is disconnected ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
             raise InputError(problem, "start it again, then resume", "scheduler", self.address) from None
         own = installation.version()
         for worker, has in found.items():
@@ -252,7 +252,7 @@ LOST = (
     "the process that computed it ended, twice: it was killed, as a system without memory does, or it crashed; use "
     "fewer elements, or fewer workers"
 )
-RESUME = "start its workers again, then resume; rows that are recorded stay so"
+RESUME = "start its workers again, then resume; recorded rows are kept"
 _MOST_WORDS = 600
 _PATIENCE = 5.0  # s, after which the workers are looked at, once more each time
 _PACKAGES = ("jaxform", "optimize")
@@ -359,7 +359,7 @@ def _check_workers(done: Future[Outcome]) -> None:
     error = CancelledError() if done.cancelled() else done.exception()
     if isinstance(error, CancelledError):
         words = str(error).splitlines()[-1] if str(error) else "it was shut down"
-        raise InputError(f"takes no more work ({words})", RESUME, "executor")
+        raise InputError(f"accepts no more tasks ({words})", RESUME, "executor")
     if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _PACKAGES:
         problem = f"has a worker that lacks this program or has another version of it ({error})"
         raise InputError(problem, "install the same jaxform on all workers", "executor")
@@ -369,8 +369,8 @@ def _submit(executor: Executor, function: Callable[[Any], Any], argument: Any) -
     try:
         return executor.submit(guarded, function, argument)
     except RuntimeError as error:  # BrokenProcessPool is one; so is what an executor raises that was shut down
-        problem = f"takes no more work ({error})"
-        remedy = "give workers = N instead: processes that end are then replaced; rows that are recorded stay so"
+        problem = f"accepts no more tasks ({error})"
+        remedy = "give workers = N instead: processes that end are then replaced; recorded rows are kept"
         raise InputError(problem, remedy, "executor") from None
 
 

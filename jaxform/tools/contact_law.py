@@ -129,7 +129,7 @@ def make_contact_law(
         InputError: There is no such law, or it does not go with the friction, or that with the temperatures.
     """
     if kind not in CONTACT_LAWS:
-        raise InputError("is no contact law", f"choose one of {', '.join(CONTACT_LAWS)}", f"{key}.contact", kind)
+        raise InputError("is not a contact law", f"choose one of {', '.join(CONTACT_LAWS)}", f"{key}.contact", kind)
     if (kind == "coulomb") != (friction is not None):
         remedy = 'give it with contact = "coulomb", and only there'
         raise InputError("has no friction" if friction is None else "has a friction", remedy, f"{key}.friction", kind)

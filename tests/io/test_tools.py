@@ -214,7 +214,7 @@ def test_studies_name_numbers_of_tools_as_the_file_does() -> None:
         np.testing.assert_allclose(scale.document(jnp.asarray(scale.start))[f"tool.plug.{key}"], value, rtol=1e-12)
         jaxform.replace(scene, scale.changes(jnp.asarray(scale.start)))
     words = (
-        r"^variable.of = 'tool.pug.friction': is no number of the scene; those of its tools are tool.plug.friction, "
+        r"^variable.of = 'tool.pug.friction': is not a number of the scene; those of its tools are tool.plug.friction, "
     )
     with pytest.raises(jaxform.InputError, match=words):
         Scale(scene, of="tool.pug.friction", bounds=(0.5, 2.0))
@@ -295,8 +295,8 @@ def test_sweeps_name_tools() -> None:
         designs.set_value(tables, path, 0.025)
         assert designs.unit_of(_document([PLUG]).model, path) == unit
     assert tables["tool"][0] == PLUG | {"radius": 0.025, "length": 0.025, "displacement": [0.0, 0.025]}
-    with pytest.raises(jaxform.InputError, match=r"tool.pug.radius: is no tool of the scene; its tools are plug"):
+    with pytest.raises(jaxform.InputError, match=r"tool.pug.radius: is not a tool of the scene; its tools are plug"):
         designs.set_value(tables, "tool.pug.radius", 0.1)
     del tables["tool"]
-    with pytest.raises(jaxform.InputError, match=r"tool.plug.radius: is no tool of the scene, which has none"):
+    with pytest.raises(jaxform.InputError, match=r"tool.plug.radius: is not a tool of the scene, which has none"):
         designs.set_value(tables, "tool.plug.radius", 0.1)

@@ -204,7 +204,7 @@ def test_another_loading_may_declare_a_number_of_the_name_of_a_method() -> None:
         def at(self, time: jax.Array, volume: jax.Array) -> jax.Array:
             return 0.0 * volume + self.inflow
 
-    result = jaxform.run(_sphere(end_time=1.0, elements=60))  # `Gas.inflow` is no number of the scene
+    result = jaxform.run(_sphere(end_time=1.0, elements=60))  # `Gas.inflow` is not a number of the scene
     assert int(result.status) == 0
     with pytest.raises(jaxform.InputError, match="no such parameter"):
         jaxform.replace(_sphere(end_time=1.0, elements=60), {"pressure.inflow": 1.0})

@@ -182,7 +182,7 @@ def test_a_part_that_holds_nothing_is_warned_of_and_a_search_of_it_refused(
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({}, "part: says nothing"),
+        ({}, "part: is empty"),
         ({"box": [[0, 0, 0], [1, 1, 0]]}, "part.box .* has no inside"),
         ({"box": [0, 1]}, "part.box .* is not a box"),
         ({"trim": ("w", 0.0, "above")}, "part.trim.axis .* is not an axis"),
@@ -274,7 +274,7 @@ def test_the_command_writes_and_exports_what_touches_the_molds_that_are_named(
     scenes.assert_refused(
         tmp_path, text.replace('["cup.stl"]', '["mug.stl"]'), r"part\.molds.*not a file of the mold.*cup\.stl"
     )
-    scenes.assert_refused(tmp_path, text.replace('molds = ["cup.stl"]', ""), "part.*says nothing")
+    scenes.assert_refused(tmp_path, text.replace('molds = ["cup.stl"]', ""), "part.*is empty")
 
 
 def test_what_touches_nothing_belongs_to_what_is_next_to_it(cone: tuple[jaxform.Scene, Result]) -> None:

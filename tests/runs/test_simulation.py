@@ -351,5 +351,5 @@ def test_a_sensitivity_map_is_the_change_per_area() -> None:
         formed = jaxform.run(changed)
         ends.append(float(np.asarray(formed.thickness)[np.asarray(formed.active)].min()))
     np.testing.assert_allclose(integral, (ends[0] - ends[1]) / 2, rtol=1e-5)
-    with pytest.raises(jaxform.InputError, match="is no field over the sheet"):
+    with pytest.raises(jaxform.InputError, match="is not a field over the sheet"):
         jaxform.sensitivity(scene, path="pressure.value")

@@ -104,7 +104,7 @@ def test_a_mesh_that_is_too_large_for_the_memory_is_a_row(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (CancelledError("0a cancelled\nthe connection is lost"), r"takes no more work \(the connection is lost\)"),
+        (CancelledError("0a cancelled\nthe connection is lost"), r"accepts no more tasks \(the connection is lost\)"),
         (ModuleNotFoundError("No module named 'jaxform'", name="jaxform"), "has a worker that lacks this program"),
         (ModuleNotFoundError("No module named 'jaxform.x'", name="jaxform.x"), "has a worker that lacks this program"),
     ],
@@ -124,7 +124,7 @@ def test_executors_of_others_do(tmp_path: Path) -> None:
     with ThreadPoolExecutor(3) as executor:
         found = dict(evaluate(compute, _tasks(tmp_path, n1="raise"), executor))
     assert found[1].status.startswith("ValueError") and found[3].value == 9
-    with pytest.raises(jaxform.InputError, match="takes no more work"):
+    with pytest.raises(jaxform.InputError, match="accepts no more tasks"):
         list(evaluate(compute, _tasks(tmp_path), executor))
 
 

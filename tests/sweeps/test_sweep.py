@@ -109,9 +109,9 @@ def test_the_default_is_the_row_of_the_command(scene: Path) -> None:
         ([3], describe, {}, r"scenes_or_designs\[0\] = 3: is no scene"),
         ([{"material.c": 1.0}], describe, {}, "name one with --scene"),
         (["dish-coarse"], lambda scene: 0, {}, "cannot be sent to another process"),
-        (["dish-coarse"], 3, {}, "is no function"),
+        (["dish-coarse"], 3, {}, "is not a function"),
         (["dish-coarse"], describe, {"workers": 0}, "must be a positive whole number"),
-        (["dish-coarse"], describe, {"executor": 3}, "is no executor"),
+        (["dish-coarse"], describe, {"executor": 3}, "is not an executor"),
         ([{"material..c": 1.0}], describe, {"scene": "dish-coarse"}, "is no path"),
     ],
 )

@@ -111,9 +111,9 @@ def read_summary(folder: Path) -> dict[str, Any]:
         key = ".".join(map(str, first["loc"]))
         if first["type"] == "missing":
             raise InputError(
-                "is missing, the file is of another version or damaged", AGAIN, key, file=str(path)
+                "is missing: the file is of another version or damaged", AGAIN, key, file=str(path)
             ) from None
-        problem = "is of another kind than is expected, the file is of another version or damaged"
+        problem = "is of another type than expected: the file is of another version or damaged"
         raise InputError(problem, AGAIN, key, first["input"], str(path)) from None
 
 
@@ -262,7 +262,7 @@ def _part(path: Path) -> StoredPart:
     for names, found in ((_NODAL, mesh.fields), (_OF_ELEMENTS, mesh.cell_fields)):
         missing = [name for name in names if name not in found]
         if missing:
-            raise InputError("is missing, the file is of another version", AGAIN, missing[0], file=str(path))
+            raise InputError("is missing: the file is of another version", AGAIN, missing[0], file=str(path))
     reference = np.stack([mesh.fields[name] for name in meshes.REFERENCE], axis=1)
     for name, values in (("reference", reference), ("thickness", mesh.cell_fields["thickness"])):
         # NaN is not below it either.

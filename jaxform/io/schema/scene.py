@@ -53,7 +53,7 @@ class PartTable(Table):
     @model_validator(mode="after")
     def _check(self) -> PartTable:
         if self.box is None and self.trim is None and self.molds is None and not self.flash:
-            raise validation_error("says nothing", "give box, trim, molds or flash, or leave [part] out", "", {})
+            raise validation_error("is empty", "give box, trim, molds or flash, or leave [part] out", "", {})
         return self
 
 

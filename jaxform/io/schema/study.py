@@ -438,5 +438,5 @@ class SweepTable(Table):
         paths = [variable.path for variable in self.variable]
         for index, path in enumerate(paths):
             if path in paths[:index]:
-                raise validation_error("is there twice", "keep one of them", f"variable[{index}].path", path)
+                raise validation_error("occurs twice", "keep one of them", f"variable[{index}].path", path)
         return self
