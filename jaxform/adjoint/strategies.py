@@ -26,35 +26,35 @@ from jaxform.model.scene import Scene
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import Schedule, State, differentiable_leaves
 
-Look = Callable[[State], tuple[State, Discretization]]
+BoundaryWork = Callable[[State], tuple[State, Discretization]]
 
 
 @dataclass(frozen=True)
 class Adjoint:
-    """A way to find the reverse derivative of a run.
+    """A strategy for the reverse derivative of a run.
 
     Attributes:
-        windows: The state is kept before every so many windows; what is in between is worked out once more.
+        windows: Number of windows between two stored states; the windows in between are recomputed.
     """
 
     windows: int = 1
 
     def __post_init__(self) -> None:
-        """Refuses what is no number of windows."""
+        """Checks the number of windows."""
         if not (isinstance(self.windows, int) and self.windows > 0):
             raise InputError(
                 "must be a positive whole number", "keep the state at each window boundary: 1", "windows", self.windows
             )
 
     def check(self, scene: Scene) -> None:
-        """Raises InputError where a scene has a part that this cannot go back over."""
+        """Raises InputError where this strategy cannot differentiate a part of the scene."""
 
-    def apply_boundary(self, look: Look) -> Look:
-        """The work at a window boundary, with its decisions kept for the derivative."""
-        return checkpoint(look)
+    def apply_boundary(self, work: BoundaryWork) -> BoundaryWork:
+        """The work at a window boundary, whose decisions are stored for the derivative and the rest recomputed."""
+        return checkpoint(work)
 
     def cond_once(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
-        """The state after work where that is asked for, else as it is."""
+        """The state after `work` where asked for, else unchanged."""
         return lax_cond_once(asked, work, state, differentiable=True)
 
     def window(
@@ -66,22 +66,22 @@ class Adjoint:
 
 @dataclass(frozen=True)
 class Reversed(Adjoint):
-    """Takes the steps back, one by one, from each window's end: the fastest, and nothing of a window is kept.
+    """Inverts the steps of each window from its end, one by one: the fastest strategy, with the least memory.
 
-    For scenes whose every part can be stepped backwards (`Scene.reversible`), which is what it raises InputError for.
+    It raises InputError for scenes with a part whose steps cannot be inverted (see `Scene.reversible`).
     """
 
     def check(self, scene: Scene) -> None:
-        """Raises InputError where a scene has a part that cannot be stepped backwards."""
+        """Raises InputError where the steps of a part of the scene cannot be inverted."""
         if not scene.reversible:
             problem = f"cannot step this scene backwards: {', '.join(scene.irreversible_parts)}"
             raise InputError(problem, "leave it out, or use jaxform.Checkpointed()", "adjoint")
 
     def cond_once(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
-        """The state after `work` where asked for; skipped where several runs go side by side and none asks.
+        """The state after `work` where asked for, else unchanged; under `vmap` it is skipped where no run asks.
 
-        Not for JAX's derivative of a window, which goes back over those results alone that have an influence: here it
-        would go back over all.
+        JAX's own derivative of a window omits results without influence; through this branch it would compute all, so
+        the other strategies do not use it.
         """
         return branch(asked, work, state, differentiable_leaves)
 
@@ -94,25 +94,25 @@ class Reversed(Adjoint):
 
 @dataclass(frozen=True)
 class Checkpointed(Adjoint):
-    """JAX's own derivative of each window, whose steps are worked out once more for it: for any scene.
+    """JAX's own derivative of each window, whose steps are recomputed: for any scene.
 
-    Its decisions and the landings on the mold are kept.
+    The decisions of the window and the contacts with the mold are stored.
     """
 
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
     ) -> State:
-        """The state after a window, of which the begin is kept."""
+        """The state after a window; the state at its begin is stored."""
         return checkpoint(window)(state, scene, discrete, schedule)
 
 
 @dataclass(frozen=True)
 class Stored(Adjoint):
-    """JAX's own derivative, with every step kept: for short runs, and to check the others with."""
+    """JAX's own derivative, with every step stored: for short runs, and to check the other strategies."""
 
-    def apply_boundary(self, look: Look) -> Look:
-        """All of it is kept."""
-        return look
+    def apply_boundary(self, work: BoundaryWork) -> BoundaryWork:
+        """The work at a window boundary, with everything stored."""
+        return work
 
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
@@ -125,7 +125,7 @@ def choose_adjoint(scene: Scene, chosen: Adjoint | None) -> Adjoint:
     """The strategy that was chosen, or the fastest that a scene allows.
 
     Raises:
-        InputError: It is none, or not one for this scene.
+        InputError: It is not a strategy, or cannot differentiate this scene.
     """
     if chosen is None:
         return Reversed() if scene.reversible else Checkpointed()

@@ -28,7 +28,7 @@ from jaxform.sheet.energy_balance import (
 )
 from jaxform.sheet.heat import ThermalState, temperature_change, tool_contact
 from jaxform.sheet.scheme import kinetic_energies
-from jaxform.sheet.state import LOSS, Schedule, State, Taken, is_at_rest
+from jaxform.sheet.state import LOSS, Schedule, State, WindowLog, is_at_rest
 
 # The energy balance of a run, and its checks.
 
@@ -238,7 +238,7 @@ class Result:
 
 
 def make_result(
-    state: State, scene: Scene, first: Discretization, taken: Taken | None = None, last: jax.Array | bool = False
+    state: State, scene: Scene, first: Discretization, taken: WindowLog | None = None, last: jax.Array | bool = False
 ) -> Result:
     """The result of a state; pure, so it can be traced.
 

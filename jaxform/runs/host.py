@@ -33,7 +33,7 @@ from jaxform.sheet.discretization import Discretization, discretize, present_dis
 from jaxform.sheet.energy_balance import energy_rounding
 from jaxform.sheet.scheme import open_clamp
 from jaxform.sheet.self_contact import stick_folds
-from jaxform.sheet.state import PackedState, State, Status, Taken, is_finished
+from jaxform.sheet.state import PackedState, State, Status, WindowLog, is_finished
 
 # Larger capacities where a run overflowed: for elements, for pairs near the mold, for windows. On the host.
 #
@@ -44,17 +44,17 @@ _MORE_PAIRS, _MOST_PAIRS = 4, 2048  # times as many; and at most so many for eac
 
 
 def enlarge_room(
-    scene: Scene, state: State, taken: Taken, done: bool, most_steps: int
-) -> tuple[Scene, State, Taken] | None:
-    """The scene with a larger capacity of the kind that overflowed, and the run's state in it.
+    scene: Scene, state: State, taken: WindowLog, done: bool, most_steps: int
+) -> tuple[Scene, State, WindowLog] | None:
+    """The scene with a larger capacity of the kind that overflowed, and the run's state for it.
 
-    None where nothing overflowed, or where a larger capacity would be of no use.
+    None where nothing overflowed, or where no larger capacity is possible.
 
     Args:
         scene: The scene.
         state: State of the run.
-        taken: Decisions of its windows.
-        done: Whether the run is finished.
+        taken: Log of its windows.
+        done: True if the run is finished.
         most_steps: Limit on the steps of the run.
     """
     status, tables, adaptivity = int(state.status), scene.tables, scene.adaptivity
@@ -144,19 +144,19 @@ def _run(
     on_end: Callable[[Result], object] | None,
     store: Store,
 ) -> Result:
-    own, room = scene, select_bucket(scene, store)
-    scene, limit = room.scene, own.solver.max_steps
+    original, padded = scene, select_bucket(scene, store)
+    scene, limit = padded.scene, original.solver.max_steps
     began = time.perf_counter()
     begin, advance, ending = programs(scene, store)
     state, first, taken = begin(scene)
     ready, telling = time.perf_counter(), 0.0
     follows = state.account.load_state is not None
     pressures: list[tuple[float, float]] = []
-    contacts = _ContactRecord(own) if own.slides else None
-    whole = on_window is None and not follows and contacts is None
+    contacts = _ContactRecord(original) if original.slides else None
+    at_once = on_window is None and not follows and contacts is None
     compiling = ready - began
     while left := remaining_windows(scene, state, limit):
-        take = left if whole else 1
+        take = left if at_once else 1
         state, taken, done = advance(state, scene, first, taken, np.int32(take))
         more = enlarge_room(scene, state, taken, bool(done), limit)
         if more is not None:
@@ -172,7 +172,7 @@ def _run(
             _record_pressure(pressures, state)
         if on_window is not None or contacts is not None:
             now = state, scene, first, taken
-            moment = _moment(state, scene, lambda now=now, made=ending: room.result(made.result()(*now, _GOING)))
+            moment = _moment(state, scene, lambda now=now, made=ending: padded.result(made.result()(*now, _GOING)))
             told = time.perf_counter()
             if contacts is not None and not done:
                 contacts.offer(moment)
@@ -188,7 +188,7 @@ def _run(
     made = ending.result()
     compiling += time.perf_counter() - paused
     telling += time.perf_counter() - paused
-    final = room.result(made(state, scene, first, taken, _LAST))
+    final = padded.result(made(state, scene, first, taken, _LAST))
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
     recorded = {
@@ -199,11 +199,11 @@ def _run(
     final = dataclasses.replace(final, seconds=seconds, **recorded)
     if on_end is not None:
         on_end(final)
-    if has_burst(final, own):
+    if has_burst(final, original):
         final = dataclasses.replace(final, status=final.status | Status.BURST)
-    if may_be_unfilled(final, own):
-        final = add_filling(final, own)
-    for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
+    if may_be_unfilled(final, original):
+        final = add_filling(final, original)
+    for sentence in (*warnings_of(final, original), *warnings_of_part(final, original)):
         warnings.warn(sentence, InputWarning, stacklevel=2, skip_file_prefixes=(str(PACKAGE),))
     return final
 
@@ -236,7 +236,7 @@ class _ContactRecord:
         return np.concatenate([np.zeros((1, 1 + self._count)), rows]).T
 
     def periods(self) -> np.ndarray:
-        """When nodes first came into contact with each, and the last time they were (count, 2) [s]; NaN for never."""
+        """First and last time of contact of any node with each tool (count, 2) [s]; NaN without contact."""
         return self._periods
 
 
@@ -255,7 +255,7 @@ def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:
     return Moment(float(state.time), float(scene.solver.end_time), int(state.steps), result, pressure)
 
 
-# Programs of the host's loop of windows: they begin a run, take windows, end it and make its result.
+# Programs of the host's loop: `begin` starts a run, `advance` takes windows, `result_of` makes the result.
 
 IN_MEMORY = Store()
 _ABOVE = 2  # next larger bucket sizes whose compiled programs are used for a smaller mesh too
@@ -272,7 +272,7 @@ def whole_run(scene: Scene) -> Result:
 
 @jax.jit
 def result_of(
-    state: State, scene: Scene, first: Discretization, taken: Taken | None = None, last: jax.Array | bool = False
+    state: State, scene: Scene, first: Discretization, taken: WindowLog | None = None, last: jax.Array | bool = False
 ) -> Result:
     """The result of a state; that of the last one has its final status."""
     status = jnp.where(last, finalize_state(state, scene, first).status, state.status)
@@ -290,7 +290,7 @@ def finalize_state(state: State, scene: Scene, first: Discretization) -> State:
 
 
 @jax.jit
-def begin(scene: Scene) -> tuple[State, Discretization, Taken]:
+def begin(scene: Scene) -> tuple[State, Discretization, WindowLog]:
     """The initial state and discretization of a run, and empty arrays for the decisions of its windows."""
     count = scene.tables.window_count
     state = initial_state(scene)
@@ -300,14 +300,14 @@ def begin(scene: Scene) -> tuple[State, Discretization, Taken]:
 
 @jax.jit
 def advance(
-    state: State, scene: Scene, first: Discretization, taken: Taken, most: jax.Array
-) -> tuple[State, Taken, jax.Array]:
-    """At most `most` windows."""
+    state: State, scene: Scene, first: Discretization, taken: WindowLog, most: jax.Array
+) -> tuple[State, WindowLog, jax.Array]:
+    """The state after at most `most` windows, the log with theirs, and True if the run is finished."""
 
     def continues(carry: _LoopState) -> jax.Array:
         return (carry.count < most) & ~is_finished(carry.state, scene)
 
-    def take(carry: _LoopState) -> _LoopState:
+    def advance_window(carry: _LoopState) -> _LoopState:
         state, now, stale, active = carry.state, carry.now, carry.count == 0, carry.active
         if state.mesh is not None:
             before = state.mesh.element_count
@@ -327,8 +327,8 @@ def advance(
     now = present_discretization(scene, state.mesh, first, stepped=True)
     active = allocate_workspace(whole_set(state, scene, now), scene)
     begun = _LoopState(active.pack_state(state), now, active, taken, jnp.int32(0))
-    gone = jax.lax.while_loop(continues, take, begun)
-    return gone.active.unpack_state(gone.state), gone.taken, is_finished(gone.state, scene)
+    end = jax.lax.while_loop(continues, advance_window, begun)
+    return end.active.unpack_state(end.state), end.taken, is_finished(end.state, scene)
 
 
 class _LoopState(NamedTuple):
@@ -337,12 +337,12 @@ class _LoopState(NamedTuple):
     state: PackedState
     now: Discretization
     active: ActiveSet
-    taken: Taken
+    taken: WindowLog
     count: jax.Array
 
 
-def latest_decisions(state: State) -> Taken:
-    """Decisions of the last window: its length, its number of steps, and its bound."""
+def latest_decisions(state: State) -> WindowLog:
+    """Decisions of the last window: step length, number of steps, and bound on the step length."""
     return state.control.last_length, state.control.last_count, state.control.bound
 
 
@@ -370,8 +370,8 @@ def _request_programs(scene: Scene, store: Store) -> tuple[PendingProgram, Pendi
 def programs(
     scene: Scene, store: Store
 ) -> tuple[
-    Callable[[Scene], tuple[State, Discretization, Taken]],
-    Callable[..., tuple[State, Taken, jax.Array]],
+    Callable[[Scene], tuple[State, Discretization, WindowLog]],
+    Callable[..., tuple[State, WindowLog, jax.Array]],
     Future[Callable[..., Result]],
 ]:
     """The compiled programs that begin a run and take windows, and the pending one that makes its result."""
@@ -385,21 +385,21 @@ def select_bucket(scene: Scene, store: Store) -> Padded:
     A mesh that is not refined gives the same result at any capacity, its nodes to the last bit, sums to rounding.
     Padding by two more bucket sizes takes up to 7 % of a run; compiling takes seconds.
     """
-    own = room = pad_to_bucket(scene, recorded=True)
-    kept = room.order is None or scene.refinement is not None or len(scene.parison.triangles) > _LARGE
-    if kept or store.shared or store.has_program(begin, room.scene):
-        return own
+    smallest = padded = pad_to_bucket(scene, recorded=True)
+    fixed = padded.order is None or scene.refinement is not None or len(scene.parison.triangles) > _LARGE
+    if fixed or store.shared or store.has_program(begin, padded.scene):
+        return smallest
     for _ in range(_ABOVE):
-        room = pad_to_bucket(scene, len(room.scene.parison.triangles), recorded=True)
-        if _has_programs(room.scene, store):
-            return room
-    return own
+        padded = pad_to_bucket(scene, len(padded.scene.parison.triangles), recorded=True)
+        if _has_programs(padded.scene, store):
+            return padded
+    return smallest
 
 
 def is_compiled(scene: Scene, store: Store, least: int | None = None) -> bool:
     """True if a run of a scene finds all its programs compiled, for its bucket sizes or at least `least` elements."""
-    room = select_bucket(scene, store) if least is None else pad_to_bucket(scene, least, recorded=True)
-    return _has_programs(room.scene, store)
+    padded = select_bucket(scene, store) if least is None else pad_to_bucket(scene, least, recorded=True)
+    return _has_programs(padded.scene, store)
 
 
 def _has_programs(scene: Scene, store: Store) -> bool:
@@ -423,7 +423,7 @@ def start_programs(scene: Scene, store: Store) -> None:
 
 
 def compile_advance(
-    state: State, scene: Scene, first: Discretization, taken: Taken
-) -> Callable[..., tuple[State, Taken, jax.Array]]:
+    state: State, scene: Scene, first: Discretization, taken: WindowLog
+) -> Callable[..., tuple[State, WindowLog, jax.Array]]:
     """`advance`, compiled for the shapes of a run, in memory."""
     return IN_MEMORY.program(advance, state, scene, first, taken, np.int32(1))

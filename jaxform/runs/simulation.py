@@ -35,7 +35,7 @@ from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
 from jaxform.sheet.scheme import open_clamp_of
 from jaxform.sheet.self_contact import stick_folds_of
-from jaxform.sheet.state import Schedule, State, Status, Taken, differentiable_leaves, is_finished
+from jaxform.sheet.state import Schedule, State, Status, WindowLog, differentiable_leaves, is_finished
 
 
 @with_standard_promotion
@@ -68,9 +68,9 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((scene, schedule))):
         return _simulate(scene, schedule, choose_adjoint(scene, adjoint))
     with device_context(scene.parison.positions) as placed:
-        room = pad_to_bucket(scene)
-        given = None if schedule is None else room.schedule(schedule)
-        return placed(room.result(_simulate(room.scene, given, choose_adjoint(scene, adjoint))))
+        padded = pad_to_bucket(scene)
+        schedule = None if schedule is None else padded.schedule(schedule)
+        return placed(padded.result(_simulate(padded.scene, schedule, choose_adjoint(scene, adjoint))))
 
 
 @jax.custom_jvp
@@ -89,13 +89,14 @@ def _(primals: tuple[jax.Array], tangents: tuple[Any]) -> tuple[jax.Array, Any]:
 
 @functools.partial(jax.jit, static_argnums=2)
 def _simulate(scene: Scene, schedule: Schedule | None, adjoint: Adjoint) -> Result:
-    whole = functools.partial(_simulate_checked, adjoint)
+    all_windows = functools.partial(_simulate_windows, adjoint)
     if manual_axes(jax.tree.leaves((scene, schedule))):
-        return as_single_operation(whole, scene, schedule)
-    return whole(scene, schedule)
+        return as_single_operation(all_windows, scene, schedule)
+    return all_windows(scene, schedule)
 
 
-def _simulate_checked(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
+def _simulate_windows(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
+    """The result after all windows; nothing is simulated where a parameter is out of its range."""
     scene, out_of_range = sanitize_parameters(scene)
     first, state = discretize(scene), drop_sides(initial_state(scene))
     state = dataclasses.replace(state, status=jnp.where(jnp.all(out_of_range == 0), state.status, Status.INPUT))
@@ -112,9 +113,10 @@ def _simulate_checked(adjoint: Adjoint, scene: Scene, schedule: Schedule | None)
 
 
 def _mask_walls(result: Result, unknown: jax.Array) -> Result:
-    """The result, with NaN for the wall's values where they are unknown: the sheet at rest would be perfectly even.
+    """The result, with NaN for the values of the wall where nothing was simulated.
 
-    Nodes and elements that do not exist have 0, as always.
+    The initial sheet would otherwise look like a part with a perfectly even wall. Nodes and elements that do not exist
+    keep the value 0.
     """
 
     def mask_unknown(values: jax.Array, here: jax.Array) -> jax.Array:
@@ -133,24 +135,24 @@ def _mask_walls(result: Result, unknown: jax.Array) -> Result:
 
 def _windows(
     state: State, scene: Scene, first: Discretization, schedule: Schedule | None, *, count: int, adjoint: Adjoint
-) -> tuple[State, Taken]:
+) -> tuple[State, WindowLog]:
     """Up to `count` windows, until the run is finished."""
 
-    def look(state: State) -> tuple[State, Discretization]:
-        state, now = refine(state, scene, present_discretization(scene, state.mesh, first), schedule)
-        return open_clamp_of(state, scene, now), now
+    def work_at_boundary(state: State) -> tuple[State, Discretization]:
+        state, discrete = refine(state, scene, present_discretization(scene, state.mesh, first), schedule)
+        return open_clamp_of(state, scene, discrete), discrete
 
-    def take(state: State) -> State:
-        state, now = adjoint.apply_boundary(look)(state)
+    def advance(state: State) -> State:
+        state, discrete = adjoint.apply_boundary(work_at_boundary)(state)
 
-        def whole(state: State) -> State:
-            return adjoint.window(stick_folds_of(state, scene, now), scene, now, first, schedule)
+        def advance_window(state: State) -> State:
+            return adjoint.window(stick_folds_of(state, scene, discrete), scene, discrete, first, schedule)
 
-        return skip_if_full(state.status, scene, whole, state, adjoint.cond_once)
+        return skip_if_full(state.status, scene, advance_window, state, adjoint.cond_once)
 
-    def skip_if_finished(state: State, _: None) -> tuple[State, Taken]:
+    def skip_if_finished(state: State, _: None) -> tuple[State, WindowLog]:
         done = is_finished(state, scene) | (state.windows >= scene.tables.window_count)
-        state = adjoint.cond_once(~done, take, state)
+        state = adjoint.cond_once(~done, advance, state)
         return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), latest_decisions(state))
 
     return jax.lax.scan(skip_if_finished, state, length=count)
@@ -163,13 +165,10 @@ def _checkpointed_windows(adjoint: Adjoint) -> DerivativeRule:
     def like(state: State, *_: object) -> Any:
         return state, tuple(ShapedArray((adjoint.windows,), leaf.dtype) for leaf in latest_decisions(state))
 
-    def smooth(result: tuple[State, Taken]) -> Any:
+    def smooth(result: tuple[State, WindowLog]) -> Any:
         return differentiable_leaves(result[0]), jax.tree.map(lambda _: False, result[1])
 
     return recompute(functools.partial(_windows, count=adjoint.windows, adjoint=adjoint), like, smooth)
-
-
-# `simulate_batch`: many designs of a scene.
 
 
 def thinnest_wall(result: Result) -> jax.Array:
@@ -188,7 +187,7 @@ def sensitivity(
 
     Args:
         scene: The scene; its mesh is not refined.
-        function: What of a result is differentiated; by default the thinnest wall [m].
+        function: Returns the scalar of a result that is differentiated; by default the thinnest wall [m].
         path: A field with a value at each node: the thickness or temperature of the parison, or a parameter of the
             material.
 
@@ -202,13 +201,13 @@ def sensitivity(
     if scene.refinement is not None:
         raise InputError("is refined: its nodes change during the run", "leave refinement out", "scene")
     positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
-    present = number_at(scene, path)
-    if present is None or np.shape(present) not in ((), (len(positions),)):
+    value = number_at(scene, path)
+    if value is None or np.shape(value) not in ((), (len(positions),)):
         raise InputError("is not a field over the sheet", 'name one such as "parison.thickness"', "path", path)
-    values = jnp.broadcast_to(jnp.asarray(present), len(positions))
-    slope = jax.grad(lambda field: function(simulate(replace(scene, {path: field}))))(values)
-    around = np.bincount(triangles.reshape(-1), np.repeat(areas(positions, triangles) / 3.0, 3), len(positions))
-    return np.asarray(slope, float) / np.where(around > 0.0, around, np.inf)
+    nodal = jnp.broadcast_to(jnp.asarray(value), len(positions))
+    gradient = jax.grad(lambda field: function(simulate(replace(scene, {path: field}))))(nodal)
+    nodal_area = np.bincount(triangles.reshape(-1), np.repeat(areas(positions, triangles) / 3.0, 3), len(positions))
+    return np.asarray(gradient, float) / np.where(nodal_area > 0.0, nodal_area, np.inf)
 
 
 @with_standard_promotion
@@ -238,10 +237,10 @@ def _results(scene: Scene, rows: dict[str, np.ndarray], workers: int | None) -> 
     designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(_row_count(rows))]
     if not on_cpu():
         return _simulate_designs(scene, {path: jnp.asarray(values) for path, values in rows.items()})
-    rooms = [pad_to_bucket(design, recorded=True) for design in designs]
-    whole = IN_MEMORY.program(whole_run, rooms[0].scene)
+    padded = [pad_to_bucket(design, recorded=True) for design in designs]
+    program = IN_MEMORY.program(whole_run, padded[0].scene)
     with ThreadPoolExecutor(workers or usable_cores()) as pool:
-        results = list(pool.map(lambda room: room.result(whole(room.scene)), rooms))
+        results = list(pool.map(lambda design: design.result(program(design.scene)), padded))
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *results)
 
 

@@ -58,18 +58,19 @@ class Status(enum.IntFlag):
     UNFILLED = 4096
 
 
-Taken = tuple[jax.Array, jax.Array, jax.Array]  # as the first parts of `Schedule`, (n_window,)
+WindowLog = tuple[jax.Array, jax.Array, jax.Array]
+"""Step lengths, step counts and bounds of windows (n_window,), as in `Schedule`."""
 
 
 @pytree
 class Schedule:
-    """The decisions of a run, taken at its windows' borders; given to another run, they are taken as they are.
+    """The decisions of a run at its window boundaries; another run that is given them makes the same decisions.
 
     Attributes:
-        lengths: Of the steps of each window (n_window,) [s].
-        counts: Steps of each window (n_window,); 0 for windows that were not taken, or rejected.
-        bounds: The elements' bound on the step at their begin (n_window,) [s].
-        split_at: The window (n_triangle,) at whose border each triangle of the forest was bisected; None without one.
+        lengths: Step length of each window (n_window,) [s].
+        counts: Number of steps of each window (n_window,); 0 for windows that were rejected or not needed.
+        bounds: Bound of the elements on the step length at the begin of each window (n_window,) [s].
+        split_at: Window at whose begin each triangle of the forest was bisected (n_triangle,); None without refinement.
     """
 
     lengths: jax.Array
