@@ -40,8 +40,8 @@ def _edge(found: Found, folder: Path) -> str:
         "The true limit is that of the assembled tangent, pressure included, from all its eigenvalues. *At the start* "
         "is the step taken over the true limit times the solver's safety, as it was when the window began; *at the "
         "end* is the step over the true limit itself, without safety, as it had become when the window ended: above 1 "
-        "the window ran unstably for a while. *Taken anew* are windows that were tried again with half the step. The "
-        "last steps, which divide the rest of the time, are left out.\n",
+        "the window ran unstably for a while. *Retried* windows were repeated with half the step. The last "
+        "steps, which divide the rest of the time, are left out.\n",
         "| sheet | material | pressure [c h/a] | thickness between neighbours | stretch up to | windows | at the start "
         "| at the end | retried |",
         "|---|---|---|---|---|---|---|---|---|",

@@ -1,6 +1,6 @@
-"""Contact in the steps of a window: searched for, or taken from what a search has found.
+"""Contact in the steps of a window: searched for, or known from an earlier search.
 
-A search takes no derivative. Where one is wanted, the window's steps are taken again with the landings that are known.
+A search is not differentiable. For derivatives the steps of the window are computed again with the known contacts.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from jaxform.kernels.blocks import lax_cond_once, materialize, over_blocks
 from jaxform.model.scene import Scene
 from jaxform.tools.mold import ToolFrame
 
-FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
+FAR = 1e4  # of the sheet's size: at such coordinates the run is diverging
 
 
 def update_broad_phase(
     moving: WindowState, scene: Scene, now: WindowData, candidates: Sequence[Candidates]
 ) -> WindowState:
-    """Every few steps a check of where the nodes are, and where they will be at the next one, for each surface.
+    """Checks for each surface, every few steps, whether nodes are close to it or will be until the next check.
 
-    What it says of a surface holds until then, unless a node has become so much faster that it may have touched
-    unseen: that shows in the next check, or when the list ends.
+    A node that becomes so much faster in between that contact may be missed is found by the next check, or at the
+    list's end.
     """
     nodes = moving.nodes
 
@@ -66,7 +66,7 @@ def update_broad_phase(
 
 
 def to_tool_frame(moving: WindowState, scene: Scene, now: WindowData, number: int) -> tuple[Any, jax.Array]:
-    """Positions [m] and velocities [m/s] of now in the frame of a surface, where that moves."""
+    """Present positions [m] and velocities [m/s], in the frame of the surface where it moves."""
     positions, velocities = moving.nodes.positions, moving.nodes.velocities
     frame = _present_frame(moving, scene, now, number)
     if frame is None:
@@ -75,7 +75,7 @@ def to_tool_frame(moving: WindowState, scene: Scene, now: WindowData, number: in
 
 
 def _present_frame(moving: WindowState, scene: Scene, now: WindowData, number: int) -> ToolFrame | None:
-    """The frame of a surface in the last step, of which no derivative is taken; None where it rests."""
+    """The frame of a surface in the last step, not differentiable; None where the surface rests."""
     motion = scene.surfaces[number].mold.motion
     if motion is None:
         return None
@@ -92,7 +92,7 @@ def search_contact(
     frames: tuple[ToolFrame | None, ...],
     over: jax.Array | None,
 ) -> WindowState:
-    """Contact of one step; where a node is about to leave its sphere, another list is due.
+    """The window state after the contact search of one step; stale where a node is about to leave its sphere.
 
     Nodes that went `over` an edge (n_node,) are not tested against that surface: their paths are not straight.
     """
@@ -125,7 +125,7 @@ def replay_contact(
     now: WindowData,
     frames: tuple[ToolFrame | None, ...],
 ) -> WindowState:
-    """Contact of one step of a window whose landings are known; differentiable."""
+    """The window state after the known contacts of one step; differentiable."""
     flying, this = _free_flight(moved, length, now, frames)
     if known.record is None:
         lands = (known.step == this.number) & ~moved.nodes.stuck

@@ -1,6 +1,7 @@
-"""One step of the scheme: forces, velocities, positions, contact, and the scene's own fields.
+"""One step of the central-difference scheme: forces, velocities, positions, contact, and user-defined fields.
 
-Every loop uses this step. Inside a window all shapes are fixed and the continuous state flows through.
+Every loop uses this step. It has two forms of the same arithmetic: `_advance_nodes` on whole arrays, for derivatives,
+and `_advance_nodes_in_blocks`, for runs.
 """
 
 from __future__ import annotations
@@ -56,22 +57,22 @@ def step(
     now: WindowData,
     contact: tuple[Candidates, ...] | KnownContact | None = None,
 ) -> WindowState:
-    """One step of the central-difference scheme (the paper's Eq. 8 with damping), and contact.
+    """The window state after one step of the central-difference scheme (the paper's Eq. 8 with damping) and contact.
 
     Args:
-        moving: Before the step.
-        pressures: At the step's begin, averaged since the begin of the step before [Pa], and the step that the
-            velocity takes [s].
+        moving: The window state before the step.
+        pressures: Pressure at the step's begin, its mean since the begin of the last step [Pa], and the time over
+            which forces accelerate the velocity [s].
         scene: The scene.
-        now: The window.
-        contact: Of each surface, among what contact is searched for, or what is known of it; None where there are none.
+        now: Constants of the window.
+        contact: Candidates of each surface, among which contact is searched, or known contact; None without surfaces.
     """
     pressure, mean_pressure, kick = pressures
     length = now.length
     if contact is not None and not isinstance(contact, KnownContact):
         moving = update_broad_phase(moving, scene, now, contact)
     if moving.room is None:
-        # A halted window runs on without moving: a step of length zero changes nothing.
+        # The remaining steps of a halted window have the length zero, so that they change nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
     rim = None if now.rim is None else materialize(rim_ends(moving.nodes.positions, now.rim))
     begin = now.begin + moving.count * now.length
@@ -91,7 +92,7 @@ def step(
     volume, account = taken.volume + now.active.idle_volume, moving.account
     swept = account.swept_volume(volume)
     if moving.room is None:
-        # So that the account is that of a loop which ends with the last step.
+        # A halted window keeps its account, as a loop would that ends with its last step.
         volume, swept = jnp.where(moving.halted, account.volume, volume), jnp.where(moving.halted, 0.0, swept)
     moved = dataclasses.replace(
         moving,
@@ -170,7 +171,7 @@ def _update_memory(moving: WindowState, remembered: HistoryUpdate | None) -> jax
 
 
 def finalize_history(moving: WindowState, scene: Scene, now: WindowData) -> WindowState:
-    """A window's end: with the stress of viscous modes for what is remembered, and all that they lost."""
+    """The window state at a window's end: its memory is the stress of the Prony terms, its viscous loss complete."""
     memory, lost = _memory(moving, scene, now), moving.account.viscous_loss
     modes = now.losing
     if memory is None or modes is None or lost is None:
@@ -184,7 +185,7 @@ def finalize_history(moving: WindowState, scene: Scene, now: WindowData) -> Wind
 def _advance_fields(
     moved: WindowState, halted: jax.Array, length: jax.Array, scene: Scene, now: WindowData
 ) -> WindowState:
-    """Advances the scene's own fields by the step, unless the window was halted before it."""
+    """Advances the user-defined fields by the step, unless the window was halted before it."""
     nodes = moved.nodes
     step = Surroundings(
         time=now.begin + moved.count * now.length,
@@ -200,9 +201,13 @@ def _advance_fields(
 
 
 class _SlidContact(NamedTuple):
-    """Contact of nodes (n,) after a step in which they may have slid: `wall`, `contact_time`, and `slip` as in `Nodes`.
+    """Contact of nodes (n,) after a step in which they may have slid.
 
-    Also whether they left a tool over its edge, and the facets that they lie on; None where these are not kept.
+    Attributes:
+        wall, contact_time: As in `Nodes`.
+        distance: Slip distance, as `slip` in `Nodes` [m].
+        over: True where a node left a tool over its edge.
+        facets: Facets on which nodes lie; None where derivatives are taken.
     """
 
     wall: jax.Array
@@ -213,10 +218,19 @@ class _SlidContact(NamedTuple):
 
 
 class _AdvancedNodes(NamedTuple):
-    """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
+    """Nodes after a step, before new contacts, and the energies of the step.
 
-    And what elements remember, None where they have no viscous modes; the work of tools that move, and losses by
-    friction and impact [J]; the contact of nodes that slid, where nodes may; work and friction of single tools.
+    Attributes:
+        positions: Positions after the step [m].
+        velocities: Velocities half a step before them [m/s].
+        volume: Volume enclosed by the active elements at the step's begin [m^3].
+        loss: Damping loss [J].
+        room: Workspace for corner forces, as in `WindowState`.
+        remembered: History of the Prony terms and the viscous power; None without Prony terms.
+        work: Work of moving tools [J].
+        friction, impact: Losses of sliding nodes by friction and by impact [J].
+        slid: Contact of nodes that may have slid; None where no node can slide.
+        by_tool: Work and friction of each tool.
     """
 
     positions: jax.Array | membrane.Vector
@@ -233,7 +247,7 @@ class _AdvancedNodes(NamedTuple):
 
 
 def _no_energies(scene: Scene, real: Any) -> ToolEnergies:
-    """No energies of tools, where these are counted for each."""
+    """Zero work and friction of each tool."""
     zero = jnp.zeros((), real)
     return ToolEnergies(*((zero,) * len(numbers) for numbers in (scene.moving_tools, scene.rubbing_tools)))
 
@@ -259,7 +273,7 @@ def _advance_nodes(
         both = own.velocities, velocities
         velocities, held, done = apply_tool_velocity(nodal, both, nodes, own.wall, kick, carrier)
         work, losses = total(done), None if losses is None else jnp.where(held, 0.0, losses)
-        # Of a halted window nothing moves, and nothing is done.
+        # In a halted window tools do not move nodes, and do no work.
         velocities = [jnp.where(moving.halted, old, new) for old, new in zip(both[0], velocities, strict=True)]
         work = jnp.where(moving.halted, 0.0, work)
         by_tool = add_by_tool(by_tool, scene, own.tool, jnp.where(moving.halted, 0.0, done))
@@ -337,7 +351,7 @@ def _advance_nodes_in_blocks(
         lying = LyingNodes.of(there, materialize(velocities), nodal, nodes[1:], lies)
         slid = slide_within_facets(lying, facets, (kick, length), surfaces, frames, damping)
         (place, on_tool), stays, lost, distance = slid
-        # Those that leave their triangle are left for `_walk_nodes`.
+        # Nodes that leave their triangle are moved by `_walk_nodes`.
         new = _choose(stays, place, _choose(lies, (x, y, z), new))
         velocities = _choose(stays, on_tool, _choose(lies, before, velocities))
         done = [jnp.where(stays, lost.work, jnp.where(lies, 0.0, each)) for each in sums[:1]]
@@ -399,9 +413,9 @@ _LANES = 16  # nodes that are walked together
 
 
 _Walking = tuple[membrane.Vector, jax.Array, _SlidContact, ContactLosses, ToolEnergies]
-"""What a walk changes of nodes (n,): their positions, velocities and contact, and the energies of all so far [J].
+"""Data of nodes (n,) that a walk over facets changes.
 
-The last are the energies of single tools.
+Positions, velocities, contact, the losses of all nodes so far, and the energies of each tool [J].
 """
 
 
@@ -415,13 +429,13 @@ def _walk_nodes(
     now: WindowData,
     frames: tuple[ToolFrame | None, ...],
 ) -> _AdvancedNodes:
-    """Advances the nodes (n,) that leave their triangles, which were left where they were; not differentiable."""
+    """Advances the nodes (n,) that leave their triangles, which have not been moved yet; not differentiable."""
     own, damping, corners = moving.nodes, scene.solver.damping, taken.room
     assert corners is not None and taken.slid is not None
     slots = now.active.packed.elements.slots
 
     def walk(node: jax.Array, before: _Walking, lies: jax.Array) -> _Walking:
-        """The nodes with these numbers (n,), which were like this before."""
+        """The data of the nodes with these numbers (n,) after their walk, from those before it."""
         every = own.stuck, now.active.mass, now.active.compliance, own.tool, own.temperature
         stuck, mass, compliance, tool, temperature = jax.tree.map(lambda values: membrane.gather(values, node), every)
         table = membrane.gather(slots, node), jnp.int32(len(slots))
@@ -477,7 +491,7 @@ def _in_groups(
     walks: jax.Array,
     block_count: jax.Array,
 ) -> _Walking:
-    """All nodes after those that walk (n,) were walked, a few at a time."""
+    """The data of all nodes after the walks of those marked (n,), `_LANES` at a time."""
     listed, count = list_marked(walks, block_count)
 
     def take(group: jax.Array, now: _Walking) -> _Walking:

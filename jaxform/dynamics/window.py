@@ -1,8 +1,8 @@
 """One step, and one window of steps.
 
-Every loop uses the same step and the same window. Discrete decisions (the length of the step, which elements are worked
-through, which nodes are tested against the mold) are taken at a window's border only, and are piecewise constant in the
-design; inside a window all shapes are fixed and the continuous state flows through.
+Every loop uses the same step and the same window. Discrete decisions (the step length, the active elements, the nodes
+tested against the mold) are made at window boundaries only, and are piecewise constant in the design; inside a window
+all shapes are fixed and the state is continuous.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from jaxform.sheet.energy_balance import rim_places
 from jaxform.sheet.scheme import pressures, velocity_steps
 from jaxform.sheet.state import PackedState, Schedule, State, next_stop
 
-_STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a schedule
+_STIFFER = 0.95  # of a schedule's bound on the step: down to that, its steps are kept
 
 
 def window(
@@ -58,10 +58,11 @@ def window(
     *,
     differentiable: bool = True,
 ) -> State:
-    """A fixed number of steps with the decisions taken at its border, or as a schedule has them.
+    """The state after a window of steps, with decisions made at its begin or given by a schedule.
 
-    A design may move faster than the one whose schedule it follows: then its window is retried with shorter steps, as
-    any other. Where no derivative is asked for, a halted window ends at once; else its remaining steps change nothing.
+    A design may move faster than the one whose schedule it follows: then the window is rejected and retried with
+    shorter steps, as without a schedule. Without a derivative a halted window ends at once; with one its remaining
+    steps change nothing.
     """
     active = active_set_of(state, scene, discrete, differentiable=differentiable)
     packed, active = cool_state(active.pack_state(state), scene, active, differentiable=differentiable)
@@ -74,13 +75,14 @@ def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tupl
     state, active = cool_state(state, scene, active, differentiable=False)
     chosen = choose_step(state, scene, active)
 
-    def whole(now: tuple[PackedState, Workspace | None]) -> tuple[PackedState, Workspace | None]:
-        own = (*chosen[:3], now[1]), None
-        state, _, room = _step_window(now[0], scene, active, own, differentiable=False)
-        return state, room
+    def step_window(carry: tuple[PackedState, Workspace | None]) -> tuple[PackedState, Workspace | None]:
+        state, workspace = carry
+        decisions = (*chosen[:3], workspace), None
+        state, _, workspace = _step_window(state, scene, active, decisions, differentiable=False)
+        return state, workspace
 
-    state, room = compile_as_one(whole, (state, chosen[3]), state.windows)
-    return state, dataclasses.replace(active, workspace=room)
+    state, workspace = compile_as_one(step_window, (state, chosen[3]), state.windows)
+    return state, dataclasses.replace(active, workspace=workspace)
 
 
 def allocate_workspace(active: ActiveSet, scene: Scene) -> ActiveSet:
@@ -94,16 +96,18 @@ def allocate_workspace(active: ActiveSet, scene: Scene) -> ActiveSet:
 def window_and_impacts(
     state: State, scene: Scene, discrete: Discretization, schedule: Schedule | None
 ) -> tuple[State, jax.Array, jax.Array | None]:
-    """`window`, not differentiable, and the landing step of each node (n_node,), NEVER without a landing.
+    """The state after a window, and the contacts that were made in it; not differentiable.
 
-    And its impact (6, n_node), as in `sticking.Landing`; None where there is no mold.
+    Returns:
+        The state; the step in which each node landed (n_node,), NEVER for the others; and the impacts (6, n_node), as
+        in `sticking.Landing`, None without a mold.
     """
     active = active_set_of(state, scene, discrete)
     impacts, packed = bool(scene.surfaces), active.packed
     begin = active.pack_state(state)
     decisions = _make_decisions(begin, scene, active, schedule)
     end, moving, _ = _step_window(begin, scene, active, decisions, differentiable=False, impacts=impacts)
-    # Of a window that is not taken nothing landed.
+    # Nothing landed in a rejected window.
     landed = jnp.where(end.control.last_count > 0, packed.unpack(moving.landing_step), NEVER)
     return active.unpack_state(end), landed, None if moving.impact is None else packed.unpack(moving.impact)
 
@@ -117,14 +121,14 @@ def _step_window(
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[PackedState, WindowState, Workspace | None]:
-    (length, most, (mode, bound, sharpness, rung), room), row = decisions
+    (length, max_count, (mode, bound, sharpness, rung), workspace), row = decisions
     modes = active.viscous(scene.material)
     now = WindowData(
         active=active,
         begin=state.time,
         length=length,
         bound=bound,
-        max_count=most,
+        max_count=max_count,
         row=row,
         always_check=state.control.last_count == 0,
         recursion=None if modes is None else modes.recursion(length),
@@ -138,21 +142,21 @@ def _step_window(
     if differentiable:
         moving, searched = _replay_steps(state, scene, now, steps)
     else:
-        moving, searched, lists = _advance(state, scene, now, steps, room, impacts)
+        moving, searched, lists = _advance(state, scene, now, steps, workspace, impacts)
     moving = finalize_history(moving, scene, now)
-    found = dataclasses.replace(
+    begin = dataclasses.replace(
         state,
         nodes=dataclasses.replace(state.nodes, mode=mode),
         control=dataclasses.replace(state.control, sharpness=sharpness, rung=rung),
     )
     end, corners = end_of_window_energy(moving, scene, now)
-    if room is not None:
-        room = Workspace(corners, room.basis, lists)
-    return end_window(found, moving, end, searched, scene, now), moving, room
+    if workspace is not None:
+        workspace = Workspace(corners, workspace.basis, lists)
+    return end_window(begin, moving, end, searched, scene, now), moving, workspace
 
 
 _Steps = tuple[jax.Array, ...]
-"""What `step` takes of all steps of a window."""
+"""Pressure, mean pressure [Pa] and velocity step [s] of all steps of a window, as in `step`."""
 _Lists = tuple[CandidateLists, ...]
 """Workspace of the candidate lists of all surfaces."""
 _Searching = tuple[WindowState, ContactSearch, _Lists]
@@ -163,20 +167,22 @@ def _advance(
     scene: Scene,
     now: WindowData,
     steps: _Steps,
-    room: Workspace | None,
+    workspace: Workspace | None,
     impacts: bool,
     recorded: bool = False,
 ) -> tuple[WindowState, ContactSearch | None, _Lists | None]:
-    """The steps of a window, with its contact searched for; not differentiable."""
-    corners = (
-        allocate_corner_forces(state.nodes.positions, now.active.packed.elements) if room is None else room.corners
-    )
+    """The window state after its steps, with contact searched for; not differentiable."""
+    if workspace is None:
+        corners = allocate_corner_forces(state.nodes.positions, now.active.packed.elements)
+    else:
+        corners = workspace.corners
     moving = _begin_window(state, scene, now, corners, impacts, recorded)
     moving = _set_positions(moving, membrane.unstack_rows(state.nodes.positions))
     if not scene.surfaces:
         moving, searched, lists = _advance_until_halted(moving, scene, now, steps), None, None
     else:
-        lists = _allocate_lists(scene, state.nodes.positions) if room is None or room.lists is None else room.lists
+        lists = None if workspace is None else workspace.lists
+        lists = _allocate_lists(scene, state.nodes.positions) if lists is None else lists
         moving, searched, lists = _advance_over_lists(moving, scene, now, steps, lists)
     return _set_positions(moving, jnp.stack(moving.nodes.positions)), searched, lists
 
@@ -184,7 +190,7 @@ def _advance(
 def _advance_over_lists(
     moving: WindowState, scene: Scene, now: WindowData, steps: _Steps, lists: _Lists
 ) -> tuple[WindowState, ContactSearch, _Lists]:
-    """The steps of a window with tools: as long as the lists of candidates hold, then with others."""
+    """The window state after its steps with tools; candidates are listed again whenever the lists become stale."""
     count = len(scene.surfaces)
 
     def advance_with_lists(
@@ -210,7 +216,7 @@ def _advance_over_lists(
 def _advance_until_halted(
     moving: WindowState, scene: Scene, now: WindowData, steps: _Steps, candidates: tuple[Candidates, ...] | None = None
 ) -> WindowState:
-    """The steps of a window, as far as a list of candidates holds."""
+    """The window state after steps until the window ends or the lists of candidates become stale."""
 
     def continues(moving: WindowState) -> jax.Array:
         more = _continues(moving, now)
@@ -229,7 +235,7 @@ def _continues(moving: WindowState, now: WindowData) -> jax.Array:
 def _replay_steps(
     state: PackedState, scene: Scene, now: WindowData, steps: _Steps
 ) -> tuple[WindowState, ContactSearch | None]:
-    """The steps of a window, differentiable: where there is a mold, with the landings that a search has found."""
+    """The window state after its steps, differentiable; with tools, contact is first searched without derivative."""
     searched = known = None
     moving = _begin_window(state, scene, now)
     if scene.surfaces:
@@ -265,21 +271,21 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
     def from_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
         length, count = schedule.lengths[row], schedule.counts[row]
         left = jnp.minimum(length * count - state.replay.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
-        # Where the sheet is stiffer for its mass than the one of the plan, the steps are shorter by whole rungs.
+        # Where the sheet is stiffer for its mass than that of the schedule, the steps are shorter by whole rungs.
         bound = element_step_bound(state, scene, active)
         rungs = jnp.ceil(jnp.log2(_STIFFER * schedule.bounds[row] / bound) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE
         finer = jnp.exp2(jnp.maximum(rungs, 0.0) + state.control.retries)
         rest = left
         if scene.parison.clamp_until is not None:
             rest = jnp.minimum(left, jnp.maximum(next_stop(state, scene) - state.time, 0.0))
-        # As many as planned, if none of them is taken yet; else what is left is divided evenly.
+        # The count of the schedule at the begin of a row; later the remaining time is divided evenly.
         steps = jnp.ceil(rest / length * finer - SLACK).astype(count.dtype)
         fresh = (steps == count) & (state.replay.row_time == 0.0)
         even = rest / jnp.maximum(steps, 1)
-        own = jnp.where(fresh, jnp.minimum(length, even), even)
-        most = jnp.clip(steps, 1, max_step_count(own, scene))
+        length = jnp.where(fresh, jnp.minimum(length, even), even)
+        most = jnp.clip(steps, 1, max_step_count(length, scene))
         limit = state.nodes.mode, bound, state.control.sharpness, state.control.rung
-        return (own, most, limit, None), (row, left)
+        return (length, most, limit, None), (row, left)
 
     def beyond_schedule(*now: Any) -> _Decisions:
         return choose_step(*now), (row, jnp.full_like(state.time, jnp.inf))
@@ -296,7 +302,7 @@ def _begin_window(
     impacts: bool = False,
     recorded: bool = False,
 ) -> WindowState:
-    """Before the first step; with room for corner forces where contact is searched for."""
+    """The window state before the first step; with a workspace for corner forces if no derivative is taken."""
     places, positions = now.active.mass.size, state.nodes.positions
     searches = bool(scene.surfaces) and room is not None
     return WindowState(
@@ -319,18 +325,18 @@ def _begin_window(
 
 
 def _scan_in_chunks(advance: Callable[..., Any], moving: WindowState, steps: tuple[jax.Array, ...]) -> WindowState:
-    """Step by step, with a derivative; of a long window as many short ones as are not over when they begin."""
+    """The window state after all steps, differentiable; chunks of a long window are skipped once it is halted."""
 
-    def take(moving: WindowState, steps: tuple[jax.Array, ...]) -> WindowState:
+    def scan_chunk(moving: WindowState, steps: tuple[jax.Array, ...]) -> WindowState:
         return jax.lax.scan(advance, moving, steps)[0]
 
-    def unless_halted(moving: WindowState, steps: tuple[jax.Array, ...]) -> tuple[WindowState, None]:
-        return jax.lax.cond(moving.halted, lambda moving, _: moving, take, moving, steps), None
+    def skip_if_halted(moving: WindowState, steps: tuple[jax.Array, ...]) -> tuple[WindowState, None]:
+        return jax.lax.cond(moving.halted, lambda moving, _: moving, scan_chunk, moving, steps), None
 
     if len(steps[0]) <= SHORT_WINDOW:
-        return take(moving, steps)
-    short = jax.tree.map(lambda values: values.reshape(-1, SHORT_WINDOW), steps)
-    return jax.lax.scan(unless_halted, moving, short)[0]
+        return scan_chunk(moving, steps)
+    chunks = jax.tree.map(lambda values: values.reshape(-1, SHORT_WINDOW), steps)
+    return jax.lax.scan(skip_if_halted, moving, chunks)[0]
 
 
 def _list_candidates(
@@ -354,5 +360,5 @@ def _list_candidates(
 
 
 def _allocate_lists(scene: Scene, positions: jax.Array) -> _Lists:
-    room = allocate_lists(positions.shape[1], positions.dtype, scene.tables.pairs_per_node)
-    return (room,) * len(scene.surfaces)
+    lists = allocate_lists(positions.shape[1], positions.dtype, scene.tables.pairs_per_node)
+    return (lists,) * len(scene.surfaces)

@@ -1,4 +1,4 @@
-"""The end of a window: its account of energy, whether it is taken or rejected, and how long the next one is."""
+"""The end of a window: its energy balance, whether it is accepted or rejected, and the length of the next one."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def end_window(
     scene: Scene,
     now: WindowData,
 ) -> PackedState:
-    """The state at the window's end, with its health checked; a state that is not finite is not taken."""
+    """The state at the window's end, or where the window is rejected that at its begin, to be retried."""
     kinetic, behind, largest, tool = end
     account = dataclasses.replace(moving.account, gravity_work=_add_gravity_work(state, moving, scene, now))
     work = jax.lax.stop_gradient(account.work)
@@ -68,20 +68,20 @@ def end_window(
     rounding = energy_rounding(scene, now.active.substance)
     status, imbalance = _health(new, end, rounding, scene, now.active)
     new = dataclasses.replace(new, account=dataclasses.replace(new.account, imbalance=imbalance))
-    # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
+    # A window whose energy balance misses too much is retried with shorter steps, a few times.
     jump = jnp.abs(imbalance - state.account.imbalance) - rounding
     gained = imbalance - jnp.maximum(state.account.imbalance, 0.0) - rounding
     gains = (gained > _GAIN_TOLERANCE * new.account.peak_work) & (damped_share(now.length, scene) < 1.0)
     unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) | gains
     unsure &= state.control.retries < _RETRIES_FOR_ENERGY
-    # What blew up, and what may have missed the mold since a node flew out of its sphere or faster than it looked, is
-    # retried with half the step: the sheet may have stiffened within the window.
+    # An unstable window, and one in which a node may have missed the mold, is retried with half the step: the sheet
+    # may have stiffened within the window.
     if searched is not None:
         status = jnp.where(searched[2], Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
     status = state.status | jnp.where(state.control.retries >= _MOST_RETRIES, status, 0)
     if searched is not None:
-        # Pairs were lost: the state is left as it was, for a run with more room.
+        # Pairs are missing: the state is unchanged, for a run with a larger capacity.
         bad |= searched[1]
         status |= jnp.where(searched[1], Status.CONTACT_OVERFLOW, 0)
     box = scene.tables.box
@@ -95,7 +95,7 @@ def end_window(
         whole = now.row[1] - spent <= SLACK * now.length
         row_time = jnp.where(whole, 0.0, state.replay.row_time + spent)
         new = dataclasses.replace(new, replay=Replay(now.row[0] + whole, row_time))
-    # Chosen as a whole: leaf by leaf it would be a kernel for each.
+    # One conditional for the whole state: leaf by leaf there would be a kernel for each.
     kept = lax_cond_once(bad, lambda _: state, new, differentiable=moving.room is None)
     return dataclasses.replace(
         kept,
@@ -129,11 +129,11 @@ def _next_span(
     now: WindowData,
     time: jax.Array,
 ) -> jax.Array:
-    """Steps of the next window: more while the account is quiet, the stiffness steady, and little is near the mold.
+    """Number of steps of the next window.
 
-    A border costs as much as ten steps; but at a border elements that stick leave the list, and the step follows the
-    stiffness. Where short windows would not do with those that were planned for the `time` that is left, they are as
-    long as they can be.
+    It grows while the energy balance is quiet, the stiffness steady, and few nodes are near the mold. A window boundary
+    costs as much as ten steps; but there stuck elements leave the active set, and the step length follows the
+    stiffness. Where the planned windows would not suffice for the `time` that is left, windows have their full length.
     """
     if scene.tables.window_room <= SHORT_WINDOW:
         return state.control.span
@@ -156,17 +156,17 @@ def _next_span(
 WindowEnd = tuple[jax.Array, jax.Array, jax.Array, list[jax.Array]]
 """Quantities at a window's end.
 
-Kinetic energy [J], and that of the velocities, which are half a step behind. The largest coordinate [m], counted from
-the middle of sheet and mold where there is a mold; not finite where any position is not. The work of the tool with the
-present force [J], and where several move that of each; nothing where it rests.
+Kinetic energy at the time of the positions [J]; kinetic energy of the velocities, half a step earlier [J]; largest
+coordinate [m], from the middle of sheet and mold where there is a mold, not finite where any position is not; and the
+work of the moving tools by the present forces [J], their total first: empty where all tools rest.
 """
 
 
 def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> tuple[WindowEnd, Corners]:
-    """Energies at a window's end and the workspace of the corners, in two passes; no derivative is taken of them.
+    """Energies at a window's end, and the workspace for corner forces; not differentiable.
 
-    Velocities are half a step behind, which shows at the begin and in fast modes: the half step that follows counts as
-    well. The product of both is what a linear mode keeps.
+    The kinetic energy is that of the product of the velocities half a step before and half a step after the positions,
+    which a linear mode conserves.
     """
     moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
     active, elements = now.active, now.active.packed.elements
@@ -188,7 +188,7 @@ def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> 
         nodal, done = add_gravity(gather_shares(corners, own), nodes[1], scene.solver.gravity), []
         ahead, _ = update_velocity(nodal, velocities, nodes, now.length, scene.solver.damping)
         if moves:
-            # Half of what it does from now to the next force, at the velocity that it has had.
+            # Half of the work from the present force to the next one, at the present velocity of the tool.
             carrier = tool_velocity(frames, tool)
             ahead, held, _ = apply_tool_velocity(nodal, (velocities, ahead), nodes, wall, now.length, carrier)
             triples = zip(nodal, velocities, ahead, strict=True)
@@ -200,7 +200,7 @@ def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> 
         away = positions if middle is None else [x - middle[k] for k, x in enumerate(positions)]
         size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in away])
         if middle is not None:
-            # What cannot move is where it was; room for nodes lies anywhere.
+            # Fixed nodes do not count, nor places without a node, whose positions are arbitrary.
             size = jnp.where(sum(nodes[2]) > 0.0, size, 0.0)
         return [], [*energies, *done, size]
 
@@ -223,7 +223,7 @@ def _health(
     kinetic, _, largest, _ = end
     held = strain + kinetic + sum(state.account.losses().values())
     excess = held - state.account.work - last_work(state, scene, volume)
-    # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
+    # False for NaN, where energies overflow, and where energy vanished, too.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding
     finite = jnp.isfinite(largest + kinetic)
     status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
