@@ -58,6 +58,7 @@ class Search:
         limits: Multipliers (n,) of the constraints, and the penalty on their violation; None without constraints.
         seconds: Elapsed time, that of earlier parts of the search included [s].
         gradient_error: Error found by `check`; None before.
+        secants: Slope and secant along the gradient, at the first design ("start") and the best one ("end").
         multiplier: The weighted sum of the multipliers at the end of the last round; None before.
         updates: Updates of the fixed point before the search.
         on_wait: Called with a message before programs are compiled.
@@ -83,6 +84,7 @@ class Search:
     limits: tuple[jax.Array, jax.Array] | None = None
     seconds: float = 0.0
     gradient_error: float | None = None
+    secants: dict[str, dict[str, float]] = field(default_factory=dict)
     multiplier: float | None = None
     updates: int = 0
     on_wait: Callable[[str], object] | None = None
@@ -290,6 +292,14 @@ class Search:
         """Relative difference of a gradient and differences along one direction, which it keeps."""
         self.gradient_error = gradient_error(point, self.reach, lambda designs: self._compute_values("check", designs))
         return self.gradient_error
+
+    def secant_values(self, designs: list[np.ndarray]) -> list[float]:
+        """Values of designs between which secants are taken."""
+        return self._compute_values("secant", designs)
+
+    def with_gradient(self, free: np.ndarray) -> Point:
+        """Value and gradient at a design, by the program that the method uses."""
+        return self.curvature(free)[0] if self.study.method == "least-squares" else self(free)
 
     def probe(self, free: np.ndarray) -> float:
         """The value of a design that is no part of the search; infinite where its simulation fails."""

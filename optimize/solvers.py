@@ -14,7 +14,7 @@ import numpy as np
 import jaxform
 from jaxform import InputError, Result, Scene
 from jaxform.extend import part_elements
-from optimize import feasibility, sensitivity_check
+from optimize import feasibility, sensitivity_check, slope_trend
 from optimize.descent import adam, lbfgs
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Point, Study
 from optimize.fixed_point import fixed_point, warm_start
@@ -39,6 +39,7 @@ METHODS: dict[str, Method] = {
     "fixed-point": fixed_point,
 }
 _HALVINGS = 4  # of the way between a start that fails and the scene's own design
+_UNFINISHED = ("caller", "failure")  # endings of a search whose best design is compared with nothing
 _WITHOUT_GRADIENT = ("fixed-point", "least-squares")  # at the start; the latter takes its own
 
 
@@ -60,6 +61,8 @@ class Design:
         violation: Its violation of the worst limit, relative to it; 0 without constraints.
         gradient_error: Relative difference of the gradient to central differences along one direction, before the
             search; None where it takes no gradient.
+        secants: Slope and secant along the steepest direction, at the first design of the search ("start") and at the
+            best one ("end"); see `optimize.slope_trend`.
         best_row: Row of the best design in the history.
         multiplier: The weighted sum of the constraints' multipliers; None without constraints, or before
             a round has ended.
@@ -87,6 +90,7 @@ class Design:
     updates: int
     starts: list[Row] = field(default_factory=list)
     first_row: Row | None = None
+    secants: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def amend_summary(self, summary: dict[str, Any]) -> dict[str, Any]:
         """The summary of the part and the search: broken limits, warnings, and its facts."""
@@ -111,6 +115,7 @@ class Design:
             "violation": self.violation,
             "multiplier": self.multiplier,
             "gradient_error": self.gradient_error,
+            "secants": self.secants,
             "iterations": self.history[-1]["iteration"],
             "warm_start": self.updates,
             "evaluations": len(self.history),
@@ -187,7 +192,10 @@ def solve_once(
             study,
             on_check,
             lambda point: sensitivity_check.warn_of_insensitive_variables(search, point, first, warn),
+            warn,
         )
+        if ending.by not in _UNFINISHED:
+            slope_trend.compare_end(search, warn)
     except SpentError as spent:
         ending = spent.ending
         fall_back(search)
@@ -218,6 +226,7 @@ def solve_once(
         best_row=best.row,
         multiplier=search.multiplier,
         updates=search.updates,
+        secants=search.secants,
     )
 
 
@@ -267,8 +276,9 @@ def _run_search(
     study: Study,
     on_check: Callable[[float], object] | None,
     look: Callable[[Point], object],
+    warn: Callable[[str], object],
 ) -> Ending:
-    """Warm starts, a look at the first gradient, its check and the search; why it ended."""
+    """Warm starts, a look at the first gradient, its checks and the search; why it ended."""
     free = search.start
     warm = warm_start(search, study, free)
     if warm is not None and search.best is not None:
@@ -291,6 +301,7 @@ def _run_search(
         error = search.check(known)
         if on_check is not None:
             on_check(error)
+        slope_trend.compare_start(search, known, warn)
     method = METHODS[study.method]
     if study.objective.constrained:
         return rounds(search, study, point, method)

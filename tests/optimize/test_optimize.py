@@ -132,6 +132,9 @@ def test_the_search_recovers_a_known_profile() -> None:
     np.testing.assert_allclose(found, HIDDEN, rtol=0.03)
     np.testing.assert_allclose(float(design.result.mass), best["mass"], rtol=1e-9)
     assert errors == [design.gradient_error] and errors[0] < 1e-6
+    assert set(design.secants) == {"start", "end"} and design.summary()["secants"] == design.secants
+    assert design.secants["start"]["slope"] == pytest.approx(rows[0]["gradient_norm"])
+    assert design.secants["start"]["secant"] == pytest.approx(rows[0]["gradient_norm"], rel=0.1)
     assert design.summary()["after"]["objective"] == best["objective"]
 
 

@@ -1,0 +1,89 @@
+"""Slopes against secants: how well the gradient predicts a change of the design by a hundredth of its bounds.
+
+The gradient is that of the discrete run, whose value has ripples along a design: small in value, steep in slope, for
+the moment in a time step at which a node lands changes with the design (docs/accuracy.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from optimize.designs import Point, Study
+from optimize.search import Search
+from optimize.termination import SpentError
+
+SECANT_STEP = 0.04  # of the number that changes most: a hundredth of the way between its bounds
+_PARTED, _NEGLIGIBLE = 0.1, 0.01  # of the larger of slope and secant, and of the first gradient
+_RUNS, _GRADIENT_COST = 4, 4  # simulations for both comparisons, and those that an iteration takes the time of
+_MOST_SHARE = 0.05  # of the simulations that a search may take
+_PLACES = {"start": "first", "end": "best"}
+
+Found = dict[str, float]
+
+
+def is_affordable(study: Study) -> bool:
+    """True if the method takes gradients, and the runs for secants cost little beside those that the study allows."""
+    most = min(_GRADIENT_COST * study.iterations, study.max_simulations or np.inf)
+    return study.method != "fixed-point" and _RUNS <= _MOST_SHARE * most
+
+
+def compare_start(search: Search, point: Point, warn: Callable[[str], object]) -> None:
+    """Compares slope and secant at the first design of a search, a point with its gradient."""
+    if is_affordable(search.study):
+        _compare(search, "start", point, warn)
+
+
+def compare_end(search: Search, warn: Callable[[str], object]) -> None:
+    """Compares slope and secant at the best design of a search that is over, if the budget allows it."""
+    best = search.best
+    if best is None or "start" not in search.secants:
+        return
+    try:
+        # Multipliers or decisions about the mesh may have changed since the best design was evaluated.
+        changed = search.limits is not None or search.schedule is not None or not np.isfinite(best.gradient).all()
+        _compare(search, "end", search.with_gradient(best.free) if changed else best, warn)
+    except (SpentError, KeyboardInterrupt):
+        return
+
+
+def _compare(search: Search, place: str, point: Point, warn: Callable[[str], object]) -> None:
+    """Keeps slope and secant at a point under the name of its place, and warns where they part."""
+    found = slope_and_secant(point, search.reach, search.secant_values)
+    if found is None:
+        return
+    search.secants[place] = found
+    if parts_from_secant(found, abs(search.secants["start"]["slope"])):
+        warn(
+            f"at the {_PLACES[place]} design the slope of the objective is not its trend: {found['slope']:.3g} along "
+            f"the gradient, {found['secant']:.3g} over a change of the variables by 1 % of their bounds; compare "
+            "designs by their objective, or search with solver.hops or solver.starts"
+        )
+
+
+def slope_and_secant(
+    point: Point, reach: np.ndarray, values: Callable[[list[np.ndarray]], list[float]]
+) -> Found | None:
+    """Slope of the value along the gradient, for a step of length 1, and its secant over two designs.
+
+    One is a step up, one a step down; the number that changes most changes by `SECANT_STEP`. Numbers that this would
+    lead out of the bounds stay as they are. None where nothing is left, or a simulation fails.
+    """
+    slope = np.where(np.isfinite(point.slope), point.slope, 0.0)
+    step = SECANT_STEP * slope / max(float(np.abs(slope).max(initial=0.0)), np.finfo(float).tiny)
+    step = np.where(reach - np.abs(point.free) >= np.abs(step), step, 0.0)
+    length = float(np.linalg.norm(step))
+    if length == 0.0:
+        return None
+    up, down = values([point.free + step, point.free - step])
+    if not np.isfinite(up - down):
+        return None
+    return {"slope": float(point.gradient @ step) / length, "secant": (up - down) / (2.0 * length)}
+
+
+def parts_from_secant(found: Found, first_slope: float) -> bool:
+    """True if slope and secant differ by more than a tenth, and by more than a hundredth of the first slope."""
+    slope, secant = found["slope"], found["secant"]
+    apart = abs(slope - secant)
+    return apart > _PARTED * max(abs(slope), abs(secant)) and apart > _NEGLIGIBLE * first_slope
