@@ -1,7 +1,7 @@
 """Slopes against secants: how well the gradient predicts a change of the design by a hundredth of its bounds.
 
 The gradient is that of the discrete run, whose value has ripples along a design: small in value, steep in slope, for
-the moment in a time step at which a node lands changes with the design (docs/accuracy.md).
+the moment in a time step at which a node lands changes with the design (docs/explanation/gradients.md).
 """
 
 from __future__ import annotations

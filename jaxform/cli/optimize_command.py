@@ -218,7 +218,7 @@ def _tell_design(say: Callable[[str], None], design: Any, goal: float | None, fo
         f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
     )
     if facts["secants"]:
-        ends = [f"at the {name} {found['slope']:.3g}, {found['secant']:.3g}" for name, found in facts["secants"].items()]
+        ends = [f"{name} {found['slope']:.3g}, {found['secant']:.3g}" for name, found in facts["secants"].items()]
         say(f"slope along the gradient and secant over 1 % of the bounds: {'; '.join(ends)}")
     if design.starts:
         say(_compare_starts(design, goal))
