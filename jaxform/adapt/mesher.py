@@ -11,7 +11,9 @@ free and moving boundary problems, J. Comput. Phys. 262 (2014) 358-378.)
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -54,7 +56,7 @@ def load_mmg() -> Any:
         raise InputError(problem, "pip install mmgpy (or jaxform[adapt])", "parison.adapt") from None
 
 
-def remesh(sheet: Sheet, size: Array, elements: int) -> Sheet:
+def remesh(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array] = ()) -> Sheet:
     """A sheet with a new mesh.
 
     Boundary nodes stay where the boundary turns or is held in another way from there on; a node that is clamped inside,
@@ -65,6 +67,7 @@ def remesh(sheet: Sheet, size: Array, elements: int) -> Sheet:
         sheet: The sheet.
         size: Lengths of the edges at its nodes (n_node,) [m], up to a common factor.
         elements: How many triangles the new mesh has at most; it has at least nine tenths of that.
+        lines: Lines (k, 3) [m] on the sheet that are to be edges of the new mesh; left out where it cannot have them.
 
     Returns:
         The sheet on its new mesh.
@@ -74,9 +77,18 @@ def remesh(sheet: Sheet, size: Array, elements: int) -> Sheet:
     """
     load_mmg()
     size = _scale_to_count(sheet, np.asarray(size, float), elements)
+    if lines:
+        with contextlib.suppress(InputError):
+            return _search_count(sheet, size, elements, lines)
+    return _search_count(sheet, size, elements, ())
+
+
+def _search_count(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array]) -> Sheet:
+    """The sheet on a mesh with at most so many elements, and nearly as many, by sizes up to a common factor."""
     best: Sheet | None = None
     for _ in range(_ROUNDS):
-        made = _remesh_once(sheet, size)
+        points = _space_points(sheet, size, lines) if lines else np.zeros((0, 3))
+        made = _remesh_once(*_insert_points(sheet, size, points))
         count = len(made.triangles)
         if count <= elements and (best is None or count > len(best.triangles)):
             best = made
@@ -95,11 +107,11 @@ def _scale_to_count(sheet: Sheet, size: Array, elements: int) -> Array:
     return size * np.sqrt(_EQUILATERAL * np.sum(areas(sheet.positions, sheet.triangles) * density) / elements)
 
 
-def _remesh_once(sheet: Sheet, size: Array) -> Sheet:
+def _remesh_once(sheet: Sheet, size: Array, required: Index) -> Sheet:
+    """The sheet meshed anew, with some of its nodes (k,) where they are."""
     edge = topology.boundary_edges(sheet.triangles)
     kinds, reference = np.unique(_holds(sheet, edge), axis=0, return_inverse=True)
-    flat = bool(np.ptp(sheet.positions[:, 2]) == 0.0)
-    points, triangles, edges, references = _call_mmg(sheet, size, edge, reference.ravel(), flat)
+    points, triangles, edges, references = _call_mmg(sheet, size, edge, reference.ravel(), required)
     return _held_sheet(sheet, _Boundary(edge, kinds, reference.ravel()), points, triangles, edges, references)
 
 
@@ -118,10 +130,10 @@ class _Boundary:
 
 
 def _call_mmg(
-    sheet: Sheet, size: Array, edge: Index, reference: Index, flat: bool
+    sheet: Sheet, size: Array, edge: Index, reference: Index, required: Index
 ) -> tuple[Array, Index, Index, Index]:
     """Points (n, 3) [m], triangles (m, 3), boundary edges (k, 2) and their references (k,) of Mmg's mesh."""
-    mmgpy = load_mmg()
+    mmgpy, flat = load_mmg(), bool(np.ptp(sheet.positions[:, 2]) == 0.0)
     mesh = mmgpy.MmgMesh2D() if flat else mmgpy.MmgMeshS()
     mesh.set_mesh_size(vertices=len(sheet.positions), triangles=len(sheet.triangles), edges=len(edge))
     mesh.set_vertices(np.ascontiguousarray(sheet.positions[:, : 2 if flat else 3]))
@@ -132,6 +144,7 @@ def _call_mmg(
     kept, corners = _kept_nodes(sheet, edge, reference)
     if len(corners):
         mesh.set_corners(corners.astype(np.int32))
+    kept = np.union1d(kept, required)
     if len(kept):
         mesh.set_required_vertices(kept.astype(np.int32))
     still = np.flatnonzero(sheet.clamped[sheet.triangles].all(1))
@@ -293,3 +306,155 @@ def _cut_chords(points: Array, triangles: Index, edges: Index, clamped: Mask) ->
         part for one, of in zip(triangles.tolist(), middles, strict=True) for part in planform.split_triangle(one, of)
     ]
     return np.concatenate([points, points[chords].mean(1)]), np.array(cut, np.int64)
+
+
+# Lines that are to be edges of the new mesh: nodes along them, as far apart as the sizes say, are put into the old mesh
+# as vertices that Mmg keeps. Between two that are about a size apart, an equilateral mesh has an edge.
+
+_APART = 0.6  # of the size: nodes of different lines are no nearer
+_OFF_RIM = 0.5  # of the size: nodes are no nearer to the boundary; where it is not clamped, they are put on it
+_ON_SIDE = 0.1  # share of a triangle's height: a point as near to a side divides the side, not the triangle
+
+
+def _space_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> Array:
+    """Points (n, 3) [m] along lines, about a size apart: the ends of all lines first, then what is between them."""
+    along = np.split(_Old(sheet).at(size, np.concatenate(lines)), np.cumsum([len(line) for line in lines])[:-1])
+    ends, between = [], []
+    for line, own in zip(lines, along, strict=True):
+        each = np.linalg.norm(np.diff(line, axis=0), axis=1) / (0.5 * (own[1:] + own[:-1]))
+        arc = np.append(0.0, np.cumsum(each))
+        at = np.linspace(0.0, arc[-1], max(1, round(arc[-1])) + 1)
+        # Three coordinates, and the size there.
+        points = np.stack([np.interp(at, arc, row) for row in (*line.T, own)], axis=1)
+        ends.append(points[[0, -1]])
+        between.append(points[1:-1])
+    edge = topology.boundary_edges(sheet.triangles)
+    points = np.concatenate([*ends, *between])
+    points = _move_to_rim(sheet, edge, points) if len(edge) else points
+    chosen = np.zeros((0, 3))
+    for *place, apart in points.tolist():
+        if not len(chosen) or np.linalg.norm(chosen - place, axis=1).min() > _APART * apart:
+            chosen = np.concatenate([chosen, [place]])
+    return chosen
+
+
+def _move_to_rim(sheet: Sheet, edge: Index, points: Array) -> Array:
+    """The points (k, 4), places [m] and sizes [m], without those near a clamped boundary; near another one, on it."""
+    clamped = sheet.clamped[edge].all(1)
+    for kind in (clamped, ~clamped):
+        if kind.any() and len(points):
+            place, _ = _on_edges(sheet.positions[edge[kind]], points[:, :3])
+            near = np.linalg.norm(place - points[:, :3], axis=1) < _OFF_RIM * points[:, 3]
+            points[near, :3] = np.where(kind is clamped, np.nan, place[near])
+            points = points[np.isfinite(points[:, 0])]
+    return points
+
+
+def _insert_points(sheet: Sheet, size: Array, points: Array) -> tuple[Sheet, Array, Index]:
+    """The sheet and its sizes with nodes at points (k, 3) [m] near it, and the numbers of these nodes."""
+    if not len(points):
+        return sheet, size, np.zeros(0, np.int64)
+    old, division = _Old(sheet), _Division(sheet)
+    owner = old.distances.nearest(points).triangle
+    numbers = [division.add(place, triangle) for place, triangle in zip(points, owner.tolist(), strict=True)]
+    numbers = np.unique([number for number in numbers if number is not None]).astype(np.int64)
+    positions, held = np.array(division.positions), np.array(division.held)
+    made = replace(
+        sheet,
+        positions=positions,
+        triangles=np.array(division.triangles, np.int32),
+        clamped=held[:, 0],
+        fixed=held[:, 1:],
+        fields=_carried_fields(sheet, positions),
+    )
+    added = positions[len(sheet.positions) :]
+    return made, np.append(size, old.at(size, added)), numbers
+
+
+class _Division:
+    """A mesh whose triangles and sides are divided at points, one after the other."""
+
+    def __init__(self, sheet: Sheet) -> None:
+        self.positions: list[Array] = list(sheet.positions)
+        self.triangles: list[list[int]] = sheet.triangles.tolist()
+        self.held: list[Mask] = list(np.column_stack([sheet.clamped, sheet.fixed]))
+        self.owner = list(range(len(self.triangles)))
+        self.parts = [[k] for k in self.owner]
+        self.at_side: dict[tuple[int, int], set[int]] = {}
+        for number in self.owner:
+            self._register(number)
+
+    def _sides(self, number: int) -> list[tuple[int, int]]:
+        a, b, c = self.triangles[number]
+        return [(min(ends), max(ends)) for ends in ((b, c), (c, a), (a, b))]
+
+    def _register(self, number: int) -> None:
+        for side in self._sides(number):
+            self.at_side.setdefault(side, set()).add(number)
+
+    def _replace(self, number: int, parts: list[list[int]]) -> None:
+        """Puts parts in the place of a triangle."""
+        for side in self._sides(number):
+            self.at_side[side].discard(number)
+        others = range(len(self.triangles), len(self.triangles) + len(parts) - 1)
+        self.triangles[number] = parts[0]
+        self.triangles += parts[1:]
+        self.owner += [self.owner[number]] * len(others)
+        self.parts[self.owner[number]] += others
+        for part in (number, *others):
+            self._register(part)
+
+    def add(self, place: Array, triangle: int) -> int | None:
+        """The number of the node at a place (3,) [m] in one of the first triangles; None where there can be none."""
+        parts = self.parts[triangle]
+        shares = [_shares(np.array([self.positions[k] for k in self.triangles[part]]), place) for part in parts]
+        best = int(np.argmax([share.min() for share in shares]))
+        number, share = parts[best], shares[best]
+        corners, k = self.triangles[number], int(np.argmin(share))
+        if share.max() > 1.0 - _SAME:
+            return corners[int(np.argmax(share))]
+        side = self._sides(number)[k]
+        beside = [other for other in self.at_side[side] if other != number]
+        if share[k] > _ON_SIDE:
+            return self._divide(place, side, [number], whole=True)
+        if not beside:
+            first, second = (self.positions[end] for end in side)
+            way = second - first
+            place = first + np.clip((place - first) @ way / (way @ way), 0.0, 1.0) * way
+            node = self._divide(place, side, [number])
+            if node is not None:
+                self.held[node] = self.held[side[0]] & self.held[side[1]]
+            return node
+        return self._divide(place, side, [number, *beside]) or self._divide(place, side, [number], whole=True)
+
+    def _divide(self, place: Array, side: tuple[int, int], triangles: list[int], *, whole: bool = False) -> int | None:
+        """The node that divides triangles, joined to all of their sides or all but one; None if a part turned over."""
+        node = len(self.positions)
+        new = []
+        for number in triangles:
+            corners, normal = self.triangles[number], self._normal(self.triangles[number])
+            parts = [
+                [node, a, b]
+                for a, b in ((corners[k], corners[(k + 1) % 3]) for k in range(3))
+                if whole or (min(a, b), max(a, b)) != side
+            ]
+            if any(self._normal(part, place) @ normal <= _SAME * (normal @ normal) for part in parts):
+                return None
+            new.append((number, parts))
+        for number, parts in new:
+            self._replace(number, parts)
+        self.positions.append(place)
+        self.held.append(np.zeros(4, bool))
+        return node
+
+    def _normal(self, corners: list[int], place: Array | None = None) -> Array:
+        """Twice a triangle's area times its normal [m^2]; its first corner is at the place, if one is given."""
+        a, b, c = (place if k == len(self.positions) else self.positions[k] for k in corners)
+        return np.cross(b - a, c - a)
+
+
+def _shares(corners: Array, place: Array) -> Array:
+    """Barycentric coordinates (3,) of the projection of a place on the plane of a triangle (3, 3); negative outside."""
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    opposite = np.cross(corners[[1, 2, 0]] - place, corners[[2, 0, 1]] - place)
+    return opposite @ normal / (normal @ normal)

@@ -94,7 +94,8 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Re
         if report is not None:
             errors, weight = size_field.element_errors(scene, result), np.asarray(scene.tables.sheet.area, float)
             report(number, sheet, float(np.sqrt(np.average(np.square(errors), weights=weight))))
-        sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), wanted.elements)
+        lines = size_field.edge_lines(scene, result)
+        sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), wanted.elements, lines)
     return sheet
 
 

@@ -137,6 +137,30 @@ def sharp_edges(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) 
     return found[:, cosine < np.cos(np.radians(SHARPEST_FACETS))].astype(np.int32)
 
 
+def edge_paths(edges: NDArray[np.integer], stops: NDArray[np.integer] | None = None) -> list[list[int]]:
+    """Paths (k,) through the vertices of edges (n, 2): each edge is part of one.
+
+    A path ends where other than two edges meet, and at the stops (m,); a closed one ends with its first vertex.
+    """
+    neighbours: dict[int, list[int]] = {}
+    for a, b in np.asarray(edges).tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    ends = {vertex for vertex, near in neighbours.items() if len(near) != 2}
+    ends |= set(() if stops is None else np.asarray(stops).tolist())
+    paths = []
+    # Closed paths without an end are left for the last.
+    for start in [*(vertex for vertex in neighbours if vertex in ends), *neighbours]:
+        while neighbours[start]:
+            path = [start]
+            while neighbours[path[-1]] and (len(path) == 1 or path[-1] not in ends):
+                ahead = neighbours[path[-1]].pop()
+                neighbours[ahead].remove(path[-1])
+                path.append(ahead)
+            paths.append(path)
+    return paths
+
+
 def edge_points(edges: NDArray[np.floating], step: float) -> NDArray[np.floating]:
     """Points (k, 3) [m] along edges (n, 2, 3) [m], two in a step or more, both ends included."""
     count = np.ceil(2 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) / step).astype(int) + 1

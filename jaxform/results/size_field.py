@@ -6,22 +6,34 @@ engineering analysis, Int. J. Numer. Meth. Eng. 24 (1987) 337-357). The error ov
 on the mesh. For elements of size s the mean square error is the integral of (g s)^2, and their number that of 1/s^2:
 the best sizes are in proportion to the inverse root of g. They are somewhat smaller where g is large, since nodes
 that land there one after the other resolve the wall too.
+
+An element has no kink. Where the sheet bends over a sharp edge of a tool, the line of the initial sheet that has come
+to lie there should be one of nodes.
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.mesh import topology
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
+from jaxform.tools.distances import Distances, interpolate, weights
+from jaxform.tools.mold import Mold
 
 Array = NDArray[np.float64]
 
 _POWER = 0.6  # of the rate, by which sizes fall
 _LEAST = 0.02  # of the mean rate, the least that counts
+_REACH = 0.5  # of an element's longest side, from an edge, over which the element is drawn
+_STEP = 0.25  # of a formed element's side, between points of an edge that are looked up
+_MOST_POINTS = 20_000  # of edges of a tool
+_JUMP = 2.0  # of an initial element's side, between such points on the sheet: more is no line
+_CONE = 1e-3  # sine by which a place is between two faces, at least
 _SMOOTHINGS = 2  # of the squares of the rates: one element's says little
 
 
@@ -49,3 +61,75 @@ def _mean_at_nodes(values: Array, triangles: Any, area: Array, count: int) -> Ar
     weight = np.bincount(triangles.ravel(), np.repeat(area, 3), count)
     total = np.bincount(triangles.ravel(), np.repeat(values * area, 3), count)
     return total / np.where(weight > 0.0, weight, 1.0)
+
+
+def edge_lines(scene: Scene, result: Result) -> list[Array]:
+    """Lines (k, 3) [m] on the initial sheet that have come to lie on sharp convex edges of tools to which it sticks."""
+    molds = [surface.mold for surface in scene.surfaces if surface.mold.contact.sticks]
+    return [line for mold in molds for line in _lines_at_edges(mold, scene, result)]
+
+
+def _lines_at_edges(mold: Mold, scene: Scene, result: Result) -> list[Array]:
+    """The lines that lie on edges of one tool, in whose frame edges and sheet are compared."""
+    vertices = np.asarray(mold.vertices, float)
+    edges = topology.sharp_edges(vertices, np.asarray(mold.triangles))
+    if not edges.size:
+        return []
+    start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    formed = np.asarray(result.positions, float) - (mold.vertices_at(float(scene.solver.end_time)) - vertices)[0]
+    sides = _longest_sides(formed[triangles])
+    places, edge, path = _points_on_paths(vertices, edges, _STEP * float(np.median(sides)))
+    found = Distances(formed, triangles, _REACH * float(sides.max())).nearest(places)
+    weight = weights(found.place, formed[triangles[found.triangle]])
+    on_sheet = interpolate(start, triangles, found.triangle, weight)
+    near = (found.distance <= _REACH * sides[found.triangle]) & _is_convex(vertices, edges[:, edge], on_sheet)
+    jump = np.linalg.norm(np.diff(on_sheet, axis=0), axis=1)
+    breaks = ~near[1:] | ~near[:-1] | (path[1:] != path[:-1])
+    breaks |= jump > _JUMP * _longest_sides(start[triangles])[found.triangle[1:]]
+    runs = np.split(np.arange(len(places)), np.flatnonzero(breaks) + 1)
+    return [on_sheet[run] for run in runs if len(run) > 1]
+
+
+def _longest_sides(corners: Array) -> Array:
+    """The longest side (n,) [m] of each triangle (n, 3, 3)."""
+    return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+
+
+def _points_on_paths(vertices: Array, edges: NDArray[np.integer], step: float) -> tuple[Array, Any, Any]:
+    """Points (n, 3) [m] along edges (4, n_edge), one after the other; the edge and the path (n,) that each is of."""
+    number = {(a, b): k for k, (a, b) in enumerate(np.sort(edges[:2].T, axis=1).tolist())}
+    paths = topology.edge_paths(edges[:2].T, _corners(vertices, edges[:2].T))
+    length = np.linalg.norm(vertices[edges[1]] - vertices[edges[0]], axis=1).sum()
+    step = max(step, float(length) / _MOST_POINTS)
+    points, owner = [], []
+    for path in paths:
+        corners = vertices[path]
+        arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
+        at = np.linspace(0.0, arc[-1], int(np.ceil(arc[-1] / step)) + 1)
+        points.append(np.stack([np.interp(at, arc, row) for row in corners.T], axis=1))
+        own = np.array([number[min(ends), max(ends)] for ends in itertools.pairwise(path)])
+        owner.append(own[np.clip(np.searchsorted(arc, at) - 1, 0, len(own) - 1)])
+    return np.concatenate(points), np.concatenate(owner), np.repeat(np.arange(len(paths)), [len(x) for x in points])
+
+
+def _corners(vertices: Array, edges: NDArray[np.integer]) -> NDArray[np.int64]:
+    """The vertices (k,) where two edges (n, 2) meet at an angle."""
+    ends, ways = edges.T.ravel(), vertices[edges[:, 1]] - vertices[edges[:, 0]]
+    ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), np.finfo(float).tiny)
+    total = np.zeros(vertices.shape)
+    np.add.at(total, ends, np.concatenate([ways, -ways]))
+    # Two unit vectors away from a vertex: their sum is long where the edges are not in line.
+    return np.flatnonzero(np.linalg.norm(total, axis=1) > 2.0 * np.sin(np.radians(0.5 * topology.SHARPEST_FACETS)))
+
+
+def _is_convex(vertices: Array, edges: NDArray[np.integer], places: Array) -> NDArray[np.bool_]:
+    """Whether edges (4, n) are convex, seen from places (n, 3) [m] where the sheet was: not between both faces."""
+    begin, end, *thirds = (vertices[row] for row in edges)
+    along = end - begin
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    away, *ways = (way - np.sum(way * along, axis=1)[:, None] * along for way in (x - begin for x in (places, *thirds)))
+    size = np.linalg.norm(away, axis=1)
+    ways = [way / np.linalg.norm(way, axis=1, keepdims=True) for way in ways]
+    # Shares of the two faces' directions in the way to the place: both positive between them.
+    mixed, one, other = np.sum(ways[0] * ways[1], axis=1), *(np.sum(way * away, axis=1) for way in ways)
+    return (one - mixed * other <= _CONE * size) | (other - mixed * one <= _CONE * size)
