@@ -21,7 +21,7 @@ from benchmarks.timing import one_core
 from jaxform.adapt import mesher
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
-from jaxform.results.size_field import wanted_sizes
+from jaxform.results.size_field import edge_lines, wanted_sizes
 
 _FIRST = 600  # elements of the mesh on which an adapted run begins
 _PASSES = 2
@@ -63,7 +63,7 @@ def show_adapted(cup: Cup, elements: int) -> Row:
         scene = cup.scene(sheet)
         result = jaxform.run(scene)
         began = time.perf_counter()
-        sheet = mesher.remesh(sheet, wanted_sizes(scene, result), elements)
+        sheet = mesher.remesh(sheet, wanted_sizes(scene, result), elements, edge_lines(scene, result))
         spent += cases.seconds(result) + time.perf_counter() - began
     made = cases.cup_errors(cup.scene(sheet), cup.table)
     return Row(made.elements, made.errors, made.seconds + spent)

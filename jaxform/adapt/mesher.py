@@ -87,8 +87,7 @@ def _search_count(sheet: Sheet, size: Array, elements: int, lines: Sequence[Arra
     """The sheet on a mesh with at most so many elements, and nearly as many, by sizes up to a common factor."""
     best: Sheet | None = None
     for _ in range(_ROUNDS):
-        points = _space_points(sheet, size, lines) if lines else np.zeros((0, 3))
-        made = _remesh_once(*_insert_points(sheet, size, points))
+        made = _remesh_once(*_insert_points(sheet, size, lines)) if lines else _remesh_once(sheet, size)
         count = len(made.triangles)
         if count <= elements and (best is None or count > len(best.triangles)):
             best = made
@@ -107,11 +106,19 @@ def _scale_to_count(sheet: Sheet, size: Array, elements: int) -> Array:
     return size * np.sqrt(_EQUILATERAL * np.sum(areas(sheet.positions, sheet.triangles) * density) / elements)
 
 
-def _remesh_once(sheet: Sheet, size: Array, required: Index) -> Sheet:
-    """The sheet meshed anew, with some of its nodes (k,) where they are."""
+_NONE = np.zeros(0, np.int64), np.zeros((0, 2), np.int64)
+
+
+def _remesh_once(sheet: Sheet, size: Array, lines: tuple[Index, Index] = _NONE) -> Sheet:
+    """The sheet meshed anew; some nodes (k,) stay where they are, and pairs of them (m, 2) are joined by edges."""
+    required, pairs = lines
     edge = topology.boundary_edges(sheet.triangles)
     kinds, reference = np.unique(_holds(sheet, edge), axis=0, return_inverse=True)
     points, triangles, edges, references = _call_mmg(sheet, size, edge, reference.ravel(), required)
+    if len(pairs):
+        triangles = _join_nodes(
+            points, triangles, np.asarray(KDTree(points).query(sheet.positions[pairs])[1], np.int64)
+        )
     return _held_sheet(sheet, _Boundary(edge, kinds, reference.ravel()), points, triangles, edges, references)
 
 
@@ -313,33 +320,43 @@ def _cut_chords(points: Array, triangles: Index, edges: Index, clamped: Mask) ->
 
 _APART = 0.6  # of the size: nodes of different lines are no nearer
 _OFF_RIM = 0.5  # of the size: nodes are no nearer to the boundary; where it is not clamped, they are put on it
+_TOGETHER = 1.6  # of the size: points of a line that are no farther apart are joined
+_SLIVER = 0.1  # of the area of two triangles, which each is larger than when the edge between them has been turned
 _ON_SIDE = 0.1  # share of a triangle's height: a point as near to a side divides the side, not the triangle
 
 
-def _space_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> Array:
-    """Points (n, 3) [m] along lines, about a size apart: the ends of all lines first, then what is between them."""
+def _space_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> tuple[Array, Index]:
+    """Points (n, 3) [m] along lines, about a size apart, and pairs (m, 2) of those that follow one another on a line.
+
+    The ends of all lines are chosen first, then what is between them. A point as near to another one as to be left out
+    is replaced by it in its line.
+    """
     along = np.split(_Old(sheet).at(size, np.concatenate(lines)), np.cumsum([len(line) for line in lines])[:-1])
-    ends, between = [], []
-    for line, own in zip(lines, along, strict=True):
+    found = []
+    for number, (line, own) in enumerate(zip(lines, along, strict=True)):
         each = np.linalg.norm(np.diff(line, axis=0), axis=1) / (0.5 * (own[1:] + own[:-1]))
         arc = np.append(0.0, np.cumsum(each))
         at = np.linspace(0.0, arc[-1], max(1, round(arc[-1])) + 1)
-        # Three coordinates, and the size there.
-        points = np.stack([np.interp(at, arc, row) for row in (*line.T, own)], axis=1)
-        ends.append(points[[0, -1]])
-        between.append(points[1:-1])
+        # Three coordinates and the size there; the line, the place on it, and whether it is between the ends.
+        values = [np.interp(at, arc, row) for row in (*line.T, own)]
+        found.append(np.stack([*values, np.full_like(at, number), at, (at > 0.0) & (at < arc[-1])], axis=1))
+    points = _move_to_rim(sheet, np.concatenate(found))
+    points = points[np.argsort(points[:, 6], kind="stable")]
+    chosen, same = np.zeros((0, 3)), []
+    for *place, apart in points[:, :4].tolist():
+        away = np.linalg.norm(chosen - place, axis=1)
+        is_new = not len(chosen) or away.min() > _APART * apart
+        same.append(len(chosen) if is_new else int(np.argmin(away)))
+        chosen = np.concatenate([chosen, [place]]) if is_new else chosen
+    order = np.lexsort((points[:, 5], points[:, 4]))
+    pairs, of = np.array(same, np.int64)[np.stack([order[:-1], order[1:]], axis=1)], points[order]
+    near = np.linalg.norm(chosen[pairs[:, 0]] - chosen[pairs[:, 1]], axis=1) < _TOGETHER * of[1:, 3]
+    return chosen, pairs[near & (pairs[:, 0] != pairs[:, 1]) & (of[1:, 4] == of[:-1, 4])]
+
+
+def _move_to_rim(sheet: Sheet, points: Array) -> Array:
+    """The points (k, ...), places [m] and sizes [m], without those near a clamped boundary; near another one, on it."""
     edge = topology.boundary_edges(sheet.triangles)
-    points = np.concatenate([*ends, *between])
-    points = _move_to_rim(sheet, edge, points) if len(edge) else points
-    chosen = np.zeros((0, 3))
-    for *place, apart in points.tolist():
-        if not len(chosen) or np.linalg.norm(chosen - place, axis=1).min() > _APART * apart:
-            chosen = np.concatenate([chosen, [place]])
-    return chosen
-
-
-def _move_to_rim(sheet: Sheet, edge: Index, points: Array) -> Array:
-    """The points (k, 4), places [m] and sizes [m], without those near a clamped boundary; near another one, on it."""
     clamped = sheet.clamped[edge].all(1)
     for kind in (clamped, ~clamped):
         if kind.any() and len(points):
@@ -350,14 +367,16 @@ def _move_to_rim(sheet: Sheet, edge: Index, points: Array) -> Array:
     return points
 
 
-def _insert_points(sheet: Sheet, size: Array, points: Array) -> tuple[Sheet, Array, Index]:
-    """The sheet and its sizes with nodes at points (k, 3) [m] near it, and the numbers of these nodes."""
+def _insert_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> tuple[Sheet, Array, tuple[Index, Index]]:
+    """The sheet and its sizes with nodes along lines; the numbers of these, and pairs of those to be joined."""
+    points, pairs = _space_points(sheet, size, lines)
     if not len(points):
-        return sheet, size, np.zeros(0, np.int64)
+        return sheet, size, _NONE
     old, division = _Old(sheet), _Division(sheet)
     owner = old.distances.nearest(points).triangle
-    numbers = [division.add(place, triangle) for place, triangle in zip(points, owner.tolist(), strict=True)]
-    numbers = np.unique([number for number in numbers if number is not None]).astype(np.int64)
+    nodes = [division.add(place, triangle) for place, triangle in zip(points, owner.tolist(), strict=True)]
+    numbers = np.array([-1 if node is None else node for node in nodes])
+    pairs = numbers[pairs]
     positions, held = np.array(division.positions), np.array(division.held)
     made = replace(
         sheet,
@@ -368,7 +387,34 @@ def _insert_points(sheet: Sheet, size: Array, points: Array) -> tuple[Sheet, Arr
         fields=_carried_fields(sheet, positions),
     )
     added = positions[len(sheet.positions) :]
-    return made, np.append(size, old.at(size, added)), numbers
+    there = np.unique(numbers[numbers >= 0]), pairs[(pairs >= 0).all(1) & (pairs[:, 0] != pairs[:, 1])]
+    return made, np.append(size, old.at(size, added)), there
+
+
+def _join_nodes(points: Array, triangles: Index, pairs: Index) -> Index:
+    """The triangles with edges between pairs of nodes (m, 2), where it takes no more than to turn the edge between."""
+    triangles = triangles.copy()
+    kept = {(int(min(pair)), int(max(pair))) for pair in pairs}
+    for a, b in kept:
+        of_a, of_b = (np.flatnonzero((triangles == node).any(1)) for node in (a, b))
+        if len(np.intersect1d(of_a, of_b)):
+            continue
+        for one in of_a:
+            k = int(np.flatnonzero(triangles[one] == a)[0])
+            c, d = int(triangles[one][(k + 1) % 3]), int(triangles[one][(k + 2) % 3])
+            other = [n for n in of_b if {c, d} <= set(triangles[n].tolist())]
+            new = np.array([[a, c, b], [a, b, d]])
+            if other and (min(c, d), max(c, d)) not in kept and _turn_alike(points, new, triangles[[one, other[0]]]):
+                triangles[[one, other[0]]] = new
+                break
+    return triangles
+
+
+def _turn_alike(points: Array, new: Index, old: Index) -> bool:
+    """True if new triangles (2, 3) are on the same side as the old ones, and none is a sliver."""
+    normals = [np.cross(points[t[:, 1]] - points[t[:, 0]], points[t[:, 2]] - points[t[:, 0]]) for t in (new, old)]
+    total = normals[1].sum(0)
+    return bool((normals[0] @ total > _SLIVER * (total @ total)).all())
 
 
 class _Division:
@@ -449,7 +495,7 @@ class _Division:
 
     def _normal(self, corners: list[int], place: Array | None = None) -> Array:
         """Twice a triangle's area times its normal [m^2]; its first corner is at the place, if one is given."""
-        a, b, c = (place if k == len(self.positions) else self.positions[k] for k in corners)
+        a, b, c = (self.positions[k] if place is None or k < len(self.positions) else place for k in corners)
         return np.cross(b - a, c - a)
 
 

@@ -13,6 +13,7 @@ from jaxform.mesh import shapes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.volumes import areas
+from jaxform.tools.distances import Distances, segment_distance
 
 pytestmark = pytest.mark.quick
 pytest.importorskip("mmgpy")
@@ -102,6 +103,47 @@ def test_elements_have_the_sizes_that_are_asked_for(name: str) -> None:
     assert np.quantile(ratio, 0.05) > 0.55 and np.quantile(ratio, 0.95) < 1.6, np.quantile(ratio, [0.05, 0.95])
     angle = _angles(made)
     assert np.quantile(angle, 0.01) > 30.0 and angle.min() > 12.0
+
+
+@pytest.mark.parametrize("name", ["quarter of a disc", "rectangle", "sphere", "tube"])
+def test_lines_are_edges_of_the_new_mesh(name: str) -> None:
+    sheet = SHEETS[name]
+    lines = _lines_across(sheet)
+    made = mesher.remesh(sheet, np.ones(len(sheet.positions)), 900, lines)
+    assert 0.9 * 900 <= len(made.triangles) <= 900
+    shapes.check_surface(Mesh(made.positions, made.triangles, {}, {}))
+    edge, _ = topology.edges(made.triangles)
+    side = np.median(np.linalg.norm(made.positions[edge[:, 1]] - made.positions[edge[:, 0]], axis=1))
+    for line in lines:
+        on_line = np.array([_distance(line, place) < 0.15 * side for place in made.positions])
+        along = edge[on_line[edge].all(1)]
+        covered = np.linalg.norm(made.positions[along[:, 1]] - made.positions[along[:, 0]], axis=1).sum()
+        length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
+        # All of it but for a last piece, beside the boundary or where both lines meet.
+        assert covered > length - 1.5 * side, (covered / side, length / side)
+    angle = _angles(made)
+    assert np.quantile(angle, 0.01) > 20.0 and angle.min() > 8.0, (np.quantile(angle, 0.01), angle.min())
+
+
+def _lines_across(sheet: Sheet) -> list[np.ndarray]:
+    """A closed line near the middle of a sheet, through many of its triangles, and one that begins on it."""
+    low, high = sheet.positions.min(0), sheet.positions.max(0)
+    middle, radius = sheet.positions[sheet.triangles[len(sheet.triangles) // 3]].mean(0), 0.2 * (high - low).min()
+    radius = radius if radius > 0.0 else 0.2 * (high - low)[:2].min()
+    turns = np.linspace(0.0, 2.0 * np.pi, 120)
+    normal = np.cross(*(np.diff(sheet.positions[sheet.triangles[len(sheet.triangles) // 3]], axis=0)))
+    first = np.cross(normal, [0.3, 0.5, 0.8])
+    second = np.cross(normal, first)
+    first, second = first / np.linalg.norm(first), second / np.linalg.norm(second)
+    ring = middle + radius * (np.cos(turns)[:, None] * first + np.sin(turns)[:, None] * second)
+    bar = middle + np.linspace(1.0, 2.2, 40)[:, None] * radius * first
+    distances = Distances(sheet.positions, sheet.triangles, 10.0)
+    return [distances.nearest(line).place for line in (ring, bar)]
+
+
+def _distance(line: np.ndarray, place: np.ndarray) -> float:
+    """Distance of a place from a line (k, 3) [m]."""
+    return float(segment_distance(np.repeat(place[None], len(line) - 1, axis=0), line[:-1], line[1:] + 1e-12).min())
 
 
 def _angles(sheet: Sheet) -> np.ndarray:

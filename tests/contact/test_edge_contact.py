@@ -167,6 +167,51 @@ def test_gradients_through_edge_contact(build: Callable[[int], jaxform.Scene]) -
     np.testing.assert_allclose(slope, difference, rtol=1e-5)
 
 
+def test_a_mesh_adapted_to_the_ridge_has_a_node_there_and_the_exact_wall_in_every_element() -> None:
+    pytest.importorskip("mmgpy")
+    from jaxform.adapt import mesher
+    from jaxform.mesh.shapes import Sheet
+    from jaxform.results import size_field
+
+    x, y = (np.linspace(0.0, end, count).ravel() for end, count in ((LENGTH, 17), (0.25 * LENGTH, 5)))
+    positions = np.stack([*np.meshgrid(x, y), np.zeros((5, 17))], axis=2).reshape(-1, 3)
+    low = (np.arange(4)[:, None] * 17 + np.arange(16)).ravel()
+    triangles = np.concatenate([np.stack(way, 1) for way in ((low, low + 1, low + 18), (low, low + 18, low + 17))])
+    clamped = (positions[:, 0] == 0.0) | (positions[:, 0] == LENGTH)
+    fixed = np.zeros(positions.shape, bool)
+    fixed[:, 1] = (positions[:, 1] == 0.0) | (positions[:, 1] == y[-1])
+    sheet = Sheet(positions, triangles.astype(np.int32), clamped, fixed)
+
+    def run(sheet: Sheet) -> tuple[jaxform.Scene, jaxform.Result, float]:
+        parison = jaxform.make_parison(sheet.positions, sheet.triangles, WALL, sheet.clamped, sheet.fixed)
+        known = blown(16)
+        scene = jaxform.build_scene(
+            parison=parison,
+            material=known.material,
+            pressure=known.pressure,
+            solver=known.solver,
+            mold=known.mold,
+            fill=False,
+        )
+        result = jaxform.run(scene)
+        assert int(result.status) == 0
+        middle = np.asarray(result.reference)[np.asarray(result.triangles)][..., 0].mean(1)
+        exact = np.where(middle < line_place, exact_wall(RIDGE), exact_wall(LENGTH - RIDGE))
+        return scene, result, float(np.abs(np.asarray(result.element_thickness) / exact - 1.0).max())
+
+    line_place = RIDGE
+    scene, result, worst = run(sheet)
+    assert worst > 0.05  # elements over the ridge are held in their middle
+    lines = size_field.edge_lines(scene, result)
+    assert len(lines) == 1
+    # The line across the sheet, from side to side, where it has met the ridge.
+    np.testing.assert_allclose(lines[0][:, 0], RIDGE, atol=1e-3)
+    assert np.ptp(lines[0][:, 1]) == pytest.approx(y[-1], rel=0.15)
+    made = mesher.remesh(sheet, np.ones(len(positions)), 140, lines)
+    _, result, worst = run(made)
+    assert worst < 0.01, worst
+
+
 def test_a_scene_without_sharp_edges_is_the_same_program() -> None:
     shape = jaxform.molds.revolved(profile=DOME, segments=48)
     scenes = [
