@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from jaxform.core.disk import atomic_path
 from jaxform.core.errors import InputError
 from jaxform.io.plausibility import Units, guess_units
-from jaxform.io.scene_choices import round_digits
+from jaxform.io.scene_choices import choose_thickness, round_digits
 from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import meshes
 from jaxform.mesh.meridian import make_meridian
@@ -76,7 +76,7 @@ def draft_bottle(
     preform = _preform(body, neck)
     gain = make_meridian(body.profile).area / make_meridian(preform).area
     usual = min(_WALL * body.radius * gain, _SHARE * neck * _FIT * _BODY)
-    thick = thickness or round_digits(usual)
+    thick = choose_thickness(thickness, usual, float(preform[:, 0].max()), "the radius of the preform")
     shoulder = _shoulder(body, neck)
     along = (body.length - shoulder) / (float(preform[:, 1].max()) - shoulder)
     scene = _scene(paths, body, preform, thick, thick / gain, (around, along), outside)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
 from jaxform.io.bottle_wizard import Files, describe_box, fill_template, read_bottle
-from jaxform.io.scene_choices import round_digits
+from jaxform.io.scene_choices import choose_thickness, round_digits
 from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import topology
 from jaxform.tools import bottles
@@ -57,7 +57,7 @@ def draft_extrusion(
     radius = round_digits((_WIDE_FIT if holes else _FIT) * half.neck)
     gain = half.area / (math.pi * radius * half.length)
     usual = _WALL * half.area / (math.pi * half.length) * gain
-    thick = thickness or round_digits(min(usual, _SHARE * radius))
+    thick = choose_thickness(thickness, min(usual, _SHARE * radius), radius, "the radius of the parison")
     _warn_of_handles(holes, radius)
     texts = {"scene.toml": _scene(paths, half, radius, thick, bool(holes)), "study.toml": _study(thick)}
     lines = [describe_box(units, extent), *_describe(half, radius, thick, thick / gain, len(holes))]

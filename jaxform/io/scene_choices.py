@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.errors import warn_of
+from jaxform.core.errors import InputError, warn_of
 from jaxform.mesh import meshes, outlines
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import buck, covers, patches
@@ -78,6 +78,26 @@ class Drape:
         """The mold as an opening to form into, with the sheet at its clamp plane, before the mold moves."""
         level = self.buck.top - clearance(thickness)
         return Opening(self.buck.view, level, self.buck.base, self.buck.body, True, 1.0, self.buck.height)
+
+
+def choose_thickness(given: float | None, usual: float, largest: float, words: str) -> float:
+    """The thickness of a sheet [m]: the given one, or a usual one, rounded.
+
+    Args:
+        given: That of the option --thickness [m].
+        usual: A usual one [m].
+        largest: Length [m] that it has to be less than.
+        words: Name of that length in the message.
+
+    Raises:
+        InputError: The given one is not less than that length.
+    """
+    if given is None:
+        return round_digits(usual)
+    if given >= largest:
+        problem = f"is not less than {words}, {largest:.3g} m"
+        raise InputError(problem, "give the thickness in metres", "--thickness", given)
+    return given
 
 
 def clearance(thickness: float) -> float:

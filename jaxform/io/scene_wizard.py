@@ -14,7 +14,7 @@ from jaxform.core.errors import InputError
 from jaxform.io import scene_choices
 from jaxform.io.geometry import error_context
 from jaxform.io.plausibility import guess_units
-from jaxform.io.scene_choices import PROCESSES, Draft, Plug, clearance, round_digits
+from jaxform.io.scene_choices import PROCESSES, Draft, Plug, choose_thickness, clearance, round_digits
 from jaxform.mesh import meshes, outlines
 from jaxform.mesh.grids import triangle_side
 from jaxform.mesh.meshes import Mesh
@@ -117,7 +117,7 @@ def _draft_cavity(
     width = _width(polygon, area)
     pocket, slit = _pockets(found)
     pocket = min(pocket, 0.5 * width)
-    thickness = thickness or round_digits(_THICKNESS * width)
+    thickness = choose_thickness(thickness, _THICKNESS * width, width, "the width of the sheet")
     return Draft(
         **known,
         rotate=rotate,
@@ -162,7 +162,7 @@ def _draft_buck(mold: Mesh, thickness: float | None, direction: Array | None, kn
     outline = planform_polygon(planform)
     area = abs(outlines.area(outline))
     width = _width(outline, area)
-    thickness = thickness or round_digits(_THICKNESS * width)
+    thickness = choose_thickness(thickness, _THICKNESS * width, width, "the width of the sheet")
     found = made.opening(thickness)
     rotate, translate, polygon = _place(found, planform)
     return Draft(

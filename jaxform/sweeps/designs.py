@@ -149,7 +149,7 @@ def parse_path(path: str) -> list[Step]:
         found = _STEP.fullmatch(part)
         if found is None:
             remedy = "write it as mold.depth, or pressure.value[1] for an element of a list"
-            raise InputError("is not a path of a scene file", remedy, key=path)
+            raise InputError("is not a path of a scene file", remedy, key=path if path.isprintable() else ascii(path))
         steps += [found[1], *map(int, re.findall(r"-?\d+", found[2]))]
     return steps
 
@@ -427,15 +427,14 @@ def _place(variable: SweepVariableTable, share: float) -> Any:
         return variable.values[min(int(share * len(variable.values)), len(variable.values) - 1)]
     assert variable.bounds is not None
     low, high = variable.bounds
-    if variable.integer:
+    least, most = int(np.ceil(low)), int(np.floor(high))
+    if variable.integer and variable.scale == "linear":
         # Each whole number has the same share, the two at the ends included.
-        least, most = int(np.ceil(low)), int(np.floor(high))
-        if variable.scale == "linear":
-            return min(least + int(share * (most - least + 1)), most)
+        return min(least + int(share * (most - least + 1)), most)
     if share in (0.0, 1.0):
         value = (low, high)[int(share)]  # the logarithm's inverse misses them by rounding
     elif variable.scale == "log":
         value = float(low * (high / low) ** share)
     else:
         value = float(low + share * (high - low))
-    return round(value) if variable.integer else value
+    return min(max(round(value), least), most) if variable.integer else value

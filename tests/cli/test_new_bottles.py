@@ -125,6 +125,13 @@ def test_without_a_process_a_solid_bottle_is_said_to_look_like_one(
         (BOTTLE, ["--process", "stretch-blow", "--drape"], "--drape"),
         (BOTTLE, ["--process", "stretch-blow", "--plug", "auto"], "--plug"),
         (BOTTLE, ["--process", "stretch-blow", "--thickness", "-1"], "--thickness"),
+        (
+            BOTTLE,
+            ["--process", "stretch-blow", "--thickness", "1"],
+            "--thickness = 1.0: is not less than the radius of",
+        ),
+        (BOTTLE, ["--process", "extrusion-blow", "--thickness", "0.5"], "is not less than the radius of the parison"),
+        (BOTTLE, ["--drape", "--direction=+x", "--thickness", "3"], "is not less than the width of the sheet"),
         ([[0, 0], [30, 0], [29, 100], [0, 100]], ["--process", "stretch-blow"], "has no neck"),
         ([[0, 0], [60, 0], [60, 90], [5, 120], [5, 130], [0, 130]], ["--process", "stretch-blow"], "neck is narrow"),
     ],

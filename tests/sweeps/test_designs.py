@@ -100,6 +100,7 @@ def test_columns_are_separated_by_commas_semicolons_or_tabs(tmp_path: Path, mark
         ("material.c,solver.damping\n1,2\n3\n", "has 1 cells in line 3"),
         ("material..c\n1\n", "is not a path of a scene file"),
         ("profile[x]\n1\n", "is not a path of a scene file"),
+        ("\x00\x1b[2J\n1\n", "x1b[2J': is not a path of a scene file"),
         ('material.c\n"1\n', "is not a table"),
         ("solver.safty\n0.5\n0.6\n", "did you mean safety"),
         ("mould.depth\n0.1\n", "mould: is not a valid key here"),
@@ -229,6 +230,12 @@ def test_a_full_factorial_has_every_combination_of_levels() -> None:
     assert {row["mold.path"] for row in rows} == {"a.stl", "b.stl"}
 
 
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_whole_numbers_lie_within_the_bounds(scale: str) -> None:
+    text = f'[[variable]]\npath = "n"\nbounds = [1.4, 4.6]\ninteger = true\nlevels = 9\nscale = "{scale}"\n'
+    assert [design["n"] for design in sample(_sweep(text))] == [2, 3, 4]
+
+
 def test_a_latin_hypercube_has_one_design_in_each_slice_of_each_variable() -> None:
     rows = sample(_sweep(f'method = "latin-hypercube"\ndesigns = 30\nseed = 4\n{VARIABLES}'))
     depth = (np.sort([row["mold.depth"] for row in rows]) - 0.04) / 0.04
@@ -261,6 +268,7 @@ def test_the_seed_decides() -> None:
         ('[[variable]]\npath = "a"\n', "bounds: is missing"),
         ('[[variable]]\npath = "a"\nbounds = [2.0, 1.0]\n', "does not increase"),
         ('[[variable]]\npath = "a"\nbounds = [0.0, 1.0]\nscale = "log"\n', "has no logarithm"),
+        ('[[variable]]\npath = "a"\nbounds = [1.2, 1.4]\ninteger = true\n', "has no whole number between"),
         ('[[variable]]\npath = "a"\nbounds = [0.0, 1.0]\nvalues = [1]\n', "is given together with values"),
         ('method = "sobol"\n[[variable]]\npath = "a"\nbounds = [0.0, 1.0]\n', "sweep.designs: is missing"),
         ('designs = 4\n[[variable]]\npath = "a"\nbounds = [0.0, 1.0]\n', "does not go with a full factorial"),

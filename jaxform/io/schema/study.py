@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, Tag, field_validator, model_validator
@@ -404,6 +405,9 @@ class SweepVariableTable(Table):
             raise validation_error(
                 "has no logarithm", 'give positive bounds, or scale = "linear"', "bounds", self.bounds
             )
+        if self.bounds is not None and self.integer and math.ceil(self.bounds[0]) > math.floor(self.bounds[1]):
+            remedy = "widen the bounds, or leave integer out"
+            raise validation_error("has no whole number between", remedy, "bounds", self.bounds)
         return self
 
 
