@@ -24,9 +24,20 @@ from jaxform.tools.surface_walk import ContactSurface
 
 
 class ReverseWindow(NamedTuple):
-    """Constants of a window, in packed order; as in `step`, and the landing steps of the nodes (place,).
+    """Constants of a window for its reverse steps, in packed order.
 
-    The law has its zones for each element. Beyond the steps that were taken, pressure and kick are 0.
+    Attributes:
+        scene: The scene.
+        packed: Elements and nodes in packed order.
+        thickness: Initial thickness of the elements (room,) [m].
+        material: Material model, whose varying parameters have a value for each element.
+        mass: Lumped mass of the nodes (place,) [kg].
+        compliance: Mobility over mass (3, place) [1/kg].
+        landing_step: Step in which each node landed (place,); NEVER for the others, -1 for nodes stuck before.
+        pressure: Pressure in each step (steps + 1,) [Pa]; 0 beyond the last.
+        velocity_step: Time step of each velocity update (steps + 1,) [s]; 0 beyond the last.
+        length: Step length [s].
+        count: Steps taken.
     """
 
     scene: Scene
@@ -37,19 +48,20 @@ class ReverseWindow(NamedTuple):
     compliance: jax.Array
     landing_step: jax.Array
     pressure: jax.Array
-    kick: jax.Array
+    velocity_step: jax.Array
     length: jax.Array
     count: jax.Array
 
 
 class ReverseStart(NamedTuple):
-    """The start of the reverse steps, in packed order: as in `_WindowResiduals`, with each step's velocities if kept.
+    """The start of the reverse steps, in packed order.
 
     Attributes:
-        before: Of nodes that landed, before that step (3, place) [m].
-        velocities: After the last step (3, place) [m/s]; of nodes that landed, what they landed with.
-        speeds: Velocities before each step and after the last (3, (1 + steps) place) [m/s], one step's after another's.
-        keeps: Whether they are kept.
+        before: Positions of nodes that landed, before that step (3, place) [m].
+        velocities: Velocities after the last step (3, place) [m/s]; of nodes that landed, those before the impact.
+        speeds: Stored velocities before each step and after the last (3, (1 + steps) place) [m/s], one step's after
+            another's; None without damping, whose steps are always inverted.
+        keeps: True where these are used, because the steps cannot be inverted.
     """
 
     before: jax.Array
@@ -58,7 +70,7 @@ class ReverseStart(NamedTuple):
     keeps: jax.Array | bool = False
 
     def velocities_before(self, number: jax.Array) -> ArraySlice | None:
-        """Velocities before a step; where none are kept, it is the same part for all of them, which costs least."""
+        """Stored velocities before a step; where they are not used, always the same part of the array: that is fast."""
         if self.speeds is None:
             return None
         places = self.before.shape[1]
@@ -66,16 +78,16 @@ class ReverseStart(NamedTuple):
 
 
 class BackwardNodes(NamedTuple):
-    """Between two steps: the nodes' positions [m] and cotangents, and what the sums over steps have come to.
+    """Nodes between two reverse steps, their cotangents, and the sums over steps so far.
 
     Attributes:
-        at: Where they are (3, place) [m].
-        speeds: Their velocities after the step that begins there (3, place) [m/s].
-        positions: Cotangents of the positions (3, place), all but what the force at them adds.
-        velocities: Of the velocities after the step (3, place), with what the positions after it add.
-        force: Of the force in the step (3, place).
-        mass, compliance, contact_time: Of the mass, the compliance's logarithm and the contact time (place,).
-        damping, gravity, vertices: Of the damping, gravity (3,) and the mold's vertices (n_vertex, 3).
+        at: Positions (3, place) [m].
+        speeds: Velocities after the step that begins at these positions (3, place) [m/s].
+        positions: Cotangents of the positions (3, place), without the contribution of the force at them.
+        velocities: Cotangents of the velocities after the step (3, place), with the contribution of the positions.
+        force: Cotangents of the force in the step (3, place).
+        mass, compliance, contact_time: Cotangents of mass, logarithm of compliance, and contact time (place,).
+        damping, gravity, vertices: Cotangents of damping, gravity (3,), and the mold's vertices (n_vertex, 3).
     """
 
     at: jax.Array
@@ -92,14 +104,15 @@ class BackwardNodes(NamedTuple):
 
 
 AdjointStep = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
-"""Between two steps: the number of the earlier one and its length, its kick and that of the later one [s].
+"""The data of a reverse step, which leads from the begin of a step to that of the step before.
 
-Before the first step there is one of no length.
+Number of the earlier step, its length, its velocity step and that of the later one [s]; before the first step of a
+window the length is 0.
 """
 
 
-def _half_damping(kick: jax.Array, damping: jax.Array | None) -> jax.Array | float:
-    return 0.0 if damping is None else 0.5 * kick * damping
+def _half_damping(velocity_step: jax.Array, damping: jax.Array | None) -> jax.Array | float:
+    return 0.0 if damping is None else 0.5 * velocity_step * damping
 
 
 def _velocities_before(
@@ -107,27 +120,27 @@ def _velocities_before(
     after: Any,
     speeds: Any,
     node: tuple[jax.Array, Any],
-    kick: jax.Array,
+    velocity_step: jax.Array,
     now: ReverseWindow,
     end: ReverseStart,
 ) -> Vector:
-    """Velocities before a step, (n,) each, from its force and those `after` it; or as they were kept, `speeds`.
+    """Velocities before a step, three times (n,), by inverting its velocity update; or the stored ones.
 
     Args:
-        nodal: The force [N].
+        nodal: Nodal forces of the step [N].
         after: Velocities after the step [m/s].
-        speeds: Those before it, where they are kept.
-        node: Whether the nodes are free in it, and their compliance [1/kg].
-        kick: The step that the velocity takes [s].
-        now: The window.
-        end: Its end.
+        speeds: Stored velocities before the step [m/s]; None where none are stored.
+        node: True where nodes are free in the step, and their compliance [1/kg].
+        velocity_step: Time step of the velocity update [s].
+        now: Constants of the window.
+        end: Start of the reverse steps.
     """
     flies, compliance = node
-    half = _half_damping(kick, now.scene.solver.damping)
+    half = _half_damping(velocity_step, now.scene.solver.damping)
     rest = 1.0 / (1.0 - half)
 
     def invert_update(v: jax.Array, f: jax.Array, c: jax.Array) -> jax.Array:
-        before = ((1.0 + half) * v - kick * (f * c)) * rest
+        before = ((1.0 + half) * v - velocity_step * (f * c)) * rest
         return jnp.where(flies, before, v)
 
     found = [invert_update(*each) for each in zip(after, nodal, compliance, strict=True)]
@@ -136,9 +149,9 @@ def _velocities_before(
     return vector(found)
 
 
-def force_cotangent(velocities: Any, compliance: Any, kick: jax.Array, now: ReverseWindow) -> list[jax.Array]:
+def force_cotangent(velocities: Any, compliance: Any, velocity_step: jax.Array, now: ReverseWindow) -> list[jax.Array]:
     """Cotangents of the force in a step, from those of the velocities after it."""
-    factor = kick / (1.0 + _half_damping(kick, now.scene.solver.damping))
+    factor = velocity_step / (1.0 + _half_damping(velocity_step, now.scene.solver.damping))
     return [factor * c * g for g, c in zip(velocities, compliance, strict=True)]
 
 
@@ -146,27 +159,27 @@ def add_loss_cotangents(
     nodes: BackwardNodes,
     corners: Corners,
     load: Load,
-    turn: AdjointStep,
+    step: AdjointStep,
     damping: jax.Array,
     now: ReverseWindow,
     end: ReverseStart,
     loss: jax.Array,
 ) -> tuple[BackwardNodes, Corners]:
-    """Adds to the cotangents of a step's velocities and force what its damping loss has of them.
+    """Adds the contributions of a step's damping loss to the cotangents of its velocities and force.
 
-    For that the velocities before the step must be known, and so its force, before its elements are gone back over.
+    They need the velocities before the step, hence its force, before the reverse pass over its elements.
     """
     elements = now.packed.elements
     forces, _ = corner_forces(load, elements, corners[3:])
-    number, _, _, kick = turn
+    number, _, _, velocity_step = step
 
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
         flies = landed > number
         nodal = add_gravity(gather_shares(forces, own), mass, now.scene.solver.gravity)
-        before = _velocities_before(nodal, after, kept, (flies, compliance), kick, now, end)
-        share = jnp.where(flies, 0.5 * loss * kick * mass * damping, 0.0)
+        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now, end)
+        share = jnp.where(flies, 0.5 * loss * velocity_step * mass * damping, 0.0)
         more = [share * (v + w) for v, w in zip(before, after, strict=True)]
-        more = [more, force_cotangent(more, compliance, kick, now)]
+        more = [more, force_cotangent(more, compliance, velocity_step, now)]
         return [[x + own for x, own in zip(*pair, strict=True)] for pair in zip(old, more, strict=True)], []
 
     kept = end.velocities_before(number + 1)
@@ -177,7 +190,7 @@ def add_loss_cotangents(
 
 
 def add_weight_cotangents(nodes: BackwardNodes, now: ReverseWindow) -> BackwardNodes:
-    """Adds to the cotangents of mass and gravity what the weight in a step has, from the cotangent of the force."""
+    """Adds the contributions of a step's weight to the cotangents of mass and gravity."""
     gravity = now.scene.solver.gravity
     if gravity is None or nodes.gravity is None:
         return nodes
@@ -187,22 +200,22 @@ def add_weight_cotangents(nodes: BackwardNodes, now: ReverseWindow) -> BackwardN
 
 
 def step_nodes_back(
-    nodes: BackwardNodes, corners: Corners, turn: AdjointStep, now: ReverseWindow, end: ReverseStart, loss: jax.Array
+    nodes: BackwardNodes, corners: Corners, step: AdjointStep, now: ReverseWindow, end: ReverseStart, loss: jax.Array
 ) -> BackwardNodes:
     """Steps the nodes back by one step, from the cotangents and forces at the elements' corners.
 
-    Nodes that landed in the earlier one are left for `_landings`.
+    Nodes that landed in the earlier step are moved by `pull_back_landings`.
     """
     elements, damping = now.packed.elements, now.scene.solver.damping
-    number, length, early_kick, kick = turn
-    half = _half_damping(kick, damping)
+    number, length, early_velocity_step, velocity_step = step
+    half = _half_damping(velocity_step, damping)
 
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
         at, after, position, velocity, (power,), *more = old
         flies = landed > number
         both = gather_shares(corners, own)
         pulled, nodal = both[:3], add_gravity(both[3:], mass, now.scene.solver.gravity)
-        before = _velocities_before(nodal, after, kept, (flies, compliance), kick, now, end)
+        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now, end)
         position = [x + own for x, own in zip(position, pulled, strict=True)]
         before, position = materialize((before, position))
         ratio = (1.0 - half) / (1.0 + half)
@@ -210,13 +223,13 @@ def step_nodes_back(
         power, sums = [power + dot(vector(velocity), gains)], []
         if damping is not None:
             twice = vector(jnp.where(flies, v + w, 0.0) for v, w in zip(before, after, strict=True))
-            rate, share = 0.25 * loss * kick * dot(twice, twice), 0.5 * loss * kick * mass * damping
+            rate, share = 0.25 * loss * velocity_step * dot(twice, twice), 0.5 * loss * velocity_step * mass * damping
             more = [[more[0][0] + rate * damping]]
-            sums = [rate * mass - 0.5 * kick / (1.0 + half) * dot(vector(velocity), twice)]
+            sums = [rate * mass - 0.5 * velocity_step / (1.0 + half) * dot(vector(velocity), twice)]
             velocity = [ratio * g + share * both for g, both in zip(velocity, twice, strict=True)]
         velocity = [g + length * x for g, x in zip(velocity, position, strict=True)]
         velocity = materialize(velocity)
-        force = [jnp.where(flies, f, 0.0) for f in force_cotangent(velocity, compliance, early_kick, now)]
+        force = [jnp.where(flies, f, 0.0) for f in force_cotangent(velocity, compliance, early_velocity_step, now)]
         at = [x - jnp.where(flies, length * v, 0.0) for x, v in zip(at, before, strict=True)]
         return [at, before, position, velocity, power, *more, force], sums
 
@@ -233,7 +246,7 @@ def step_nodes_back(
     return nodes if damping is None else nodes._replace(mass=more[0][0], damping=nodes.damping + sums[0])
 
 
-# The way back over what moving rims sweep, from one step to the one before.
+# The reverse step of the volume that moving rims sweep.
 
 
 def rim_end_positions(nodes: BackwardNodes, places: jax.Array) -> jax.Array:
@@ -245,27 +258,27 @@ def pull_back_rim(
     nodes: BackwardNodes,
     before: jax.Array,
     after: jax.Array,
-    turn: AdjointStep,
+    step: AdjointStep,
     places: jax.Array,
     now: ReverseWindow,
     cotangent: jax.Array,
 ) -> tuple[BackwardNodes, jax.Array, jax.Array]:
-    """Adds what the rim swept in the earlier step has of the cotangents, for the step's end.
+    """Adds the contributions of the volume that the rim swept in the earlier step to the cotangents at its end.
 
     Args:
-        nodes: At the earlier step's begin; those that land in it, at its end.
-        before: Of nodes that landed, before that step (3, place) [m].
-        after: The rim's ends at the step's end (3, 2, n_edge) [m].
-        turn: The steps.
-        places: Of the rim's ends (2, n_edge).
-        now: The window.
-        cotangent: Of the volume swept.
+        nodes: Nodes at the earlier step's begin; those that land in it, at its end.
+        before: Positions of nodes that landed, before that step (3, place) [m].
+        after: Positions of the rim's ends at the step's end (3, 2, n_edge) [m].
+        step: The reverse step.
+        places: Places of the rim's ends (2, n_edge).
+        now: Constants of the window.
+        cotangent: Cotangent of the swept volume.
 
     Returns:
         The nodes; the cotangents of the rim's ends at the step's begin (3, 2, n_edge), for `add_rim_cotangents` once
         all nodes are there; and the volume that the rim swept [m^3].
     """
-    number, length, kick, _ = turn
+    number, length, velocity_step, _ = step
     landed = now.landing_step[places]
     begin = jnp.where(landed == number, rim_ends(before, places), rim_ends(nodes.at, places))
     origin = now.packed.elements.origin
@@ -273,7 +286,7 @@ def pull_back_rim(
     early, late = pull(cotangent)
     speeds = length * jnp.where(landed > number, late, 0.0)
     compliance = rim_ends(now.compliance, places)
-    force = jnp.stack(force_cotangent(unstack_rows(speeds), unstack_rows(compliance), kick, now))
+    force = jnp.stack(force_cotangent(unstack_rows(speeds), unstack_rows(compliance), velocity_step, now))
     nodes = add_rim_cotangents(nodes, late, places)
     velocities, power = nodes.velocities.at[:, places].add(speeds), nodes.force.at[:, places].add(force)
     return nodes._replace(velocities=velocities, force=power), early, swept
@@ -284,25 +297,25 @@ def add_rim_cotangents(nodes: BackwardNodes, cotangents: jax.Array, places: jax.
     return nodes._replace(positions=nodes.positions.at[:, places].add(cotangents))
 
 
-# The way back over the steps in which nodes landed on the mold.
+# The reverse step of nodes that landed on the mold.
 
 
 def pull_back_landings(
     nodes: BackwardNodes,
     before: jax.Array,
-    turn: AdjointStep,
+    step: AdjointStep,
     at: tuple[jax.Array, jax.Array],
     mold: Mold,
     now: ReverseWindow,
     loss: jax.Array,
 ) -> BackwardNodes:
-    """Goes back over the landings of a step, for the nodes that landed: one by one, each to where it was `before`.
+    """Reverses the landings of a step, node by node, back to the positions `before` (3, place) [m].
 
-    `at` is what nodes stick to in the end (place,), as in `State`, and the window's begin [s].
+    `at` has the contact triangles at the window's end (place,), as `wall` in `Nodes`, and the window's begin [s].
     """
     wall, begin_time = at
     grid = now.scene.surfaces[0].grid
-    number, length, kick, _ = turn
+    number, length, velocity_step, _ = step
     time = begin_time + (number + 1) * length
     places, count = compact_indices(now.landing_step == number, now.landing_step.size)
 
@@ -333,7 +346,7 @@ def pull_back_landings(
         _, pull = jax.vjp(land, after, old.speeds, read_node(now.mass), mold.vertices[triangle])
         position, velocity, mass, corners = pull((old.positions, old.contact_time, loss))
         velocity = velocity + length * position
-        force = force_cotangent(unstack_rows(velocity), unstack_rows(read_node(now.compliance)), kick, now)
+        force = force_cotangent(unstack_rows(velocity), unstack_rows(read_node(now.compliance)), velocity_step, now)
         return BackwardNodes(
             at=write_node(nodes.at, begin),
             speeds=nodes.speeds,

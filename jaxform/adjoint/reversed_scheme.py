@@ -1,12 +1,11 @@
 """The reverse derivative of a window's steps, written by hand.
 
-Between its borders a window is a few passes over elements and nodes, and its scheme goes as well backwards: from the
-positions and velocities at the end, the forces at these positions give the velocities before. So nothing is kept but
-the end; every step back costs one pass over the elements, for the force and the transpose of its derivative together,
-and one over the nodes. Nodes that landed are let go in the step they landed in, one by one. Where damping takes too
-much of a velocity for it to be found again, the steps are worked out once more from the begin, and their velocities
-kept. Found by JAX, the derivative would keep more and work every step out again; forward mode, which keeps nothing, is
-left to JAX.
+The central-difference scheme can be inverted: from the positions and velocities at a window's end, the forces at these
+positions give the velocities before. So only the end is stored. Every reverse step costs one pass over the elements,
+for the force and the transpose of its derivative together, and one over the nodes; nodes that landed are released in
+the step of their landing. Where damping is too strong to recover a velocity, the steps are recomputed from the begin
+and their velocities stored. JAX's own derivative would store more and recompute every step; forward mode, which stores
+nothing, is left to JAX.
 """
 
 from __future__ import annotations
@@ -89,7 +88,7 @@ class _WindowResiduals:
     velocities: jax.Array
 
 
-def _value(
+def _simulate_window(
     _: tuple[bool, ...],
     state: State,
     scene: Scene,
@@ -138,13 +137,13 @@ def _is_reversible(damping: jax.Array, timing: WindowTiming, count: jax.Array) -
 
 
 @jax.checkpoint
-def _plain_window(
+def _recompute_window(
     state: State, scene: Scene, discrete: Discretization, _: Discretization, schedule: Schedule | None
 ) -> State:
     return window(state, scene, discrete, schedule)
 
 
-def _recompute_end(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
+def _begin_reverse_steps(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
     """The start of the reverse steps; steps that cannot be inverted are recomputed from the begin."""
     packed, elements, damping = now.packed, now.packed.elements, now.scene.solver.damping
     begin, end = packed.pack(kept.positions), packed.pack(kept.end)
@@ -162,7 +161,7 @@ def _recompute_end(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
         def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
             positions, velocities, before = old
             nodal = add_gravity(gather_shares(corners, own), mass, now.scene.solver.gravity)
-            new, _ = update_velocity(nodal, velocities, (landed < n, mass, compliance), now.kick[n], damping)
+            new, _ = update_velocity(nodal, velocities, (landed < n, mass, compliance), now.velocity_step[n], damping)
             new = [jnp.where(landed < n, old, v) for old, v in zip(velocities, new, strict=True)]
             before = [jnp.where(landed == n, x, at) for x, at in zip(positions, before, strict=True)]
             ways = zip(positions, new, end, strict=True)
@@ -180,7 +179,7 @@ def _recompute_end(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
     return ReverseStart(carry[3], carry[2], carry[4], keeps)
 
 
-def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
+def _pull_back_window(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     """Cotangents of a window's begin and its other arguments, from those of its `end`."""
     scene, begun = kept.scene, cotangents.of[0]
     discrete = present_discretization(scene, kept.mesh, kept.first)
@@ -200,12 +199,12 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
         compliance=packed.pack(discrete.compliance),
         landing_step=jnp.where(held, -1, packed.pack(kept.landing_step)),
         pressure=jnp.append(pressure, 0.0),
-        kick=jnp.append(jnp.where(taken, velocity_steps(timing, longest), 0.0), 0.0),
+        velocity_step=jnp.append(jnp.where(taken, velocity_steps(timing, longest), 0.0), 0.0),
         length=kept.length,
         count=kept.count,
     )
 
-    # What the pressure does: mean times what is swept, (volume - volume before) and what the rim adds; summed.
+    # The pressure's work is the sum of mean pressure times swept volume: the change of the volume, and the rim's part.
     work = end.account.external_work
     after = jnp.where(number == kept.count - 1, end.account.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
@@ -245,7 +244,7 @@ def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     if scene.mold is not None and nodes.vertices is not None:
         put(of[1].mold.vertices, nodes.vertices)
     put(of[2].mass, mass)
-    # In proportion, since mass alone changes it: the mobility is given.
+    # All components change in proportion: the mobility is given, so only the mass varies.
     square = dot(now.compliance, now.compliance)
     share = jnp.where(square > 0.0, nodes.compliance / jnp.where(square > 0.0, square, 1.0), 0.0)
     put(of[2].compliance, packed.unpack(share[None] * now.compliance))
@@ -262,11 +261,18 @@ def _scatter_sums(values: jax.Array, element: jax.Array, like: jax.Array) -> jax
 
 
 class _ReverseState(NamedTuple):
-    """On the way back: the next step, the nodes, and room for corner forces.
+    """State of the loop of reverse steps.
 
-    With them the elements' sums; at every step, and after the last, the cotangents of the pressure, and the volume
-    enclosed by what is active [m^3]; the cotangents of the law's numbers that do not vary, and in the end of those that
-    do (..., room), by name.
+    Attributes:
+        number: Number of the next step to reverse.
+        nodes: Nodes and their cotangents.
+        corners: Workspace for corner forces and their cotangents.
+        summed: Sums of the elements over steps.
+        pressing: Cotangents of the pressure at each step and after the last (steps + 1,).
+        volumes: Volume enclosed by the active elements, at the same steps [m^3].
+        law: Cotangents of the material parameters that do not vary over the sheet, by name.
+        zones: Cotangents of those that vary (..., room), by name; empty before the last step.
+        rim: Volume swept by the rim in each step [m^3]; None without moving rims.
     """
 
     number: jax.Array
@@ -286,16 +292,16 @@ def _rim_cotangents(kept: _WindowResiduals, end: State, mean: jax.Array) -> jax.
         return None
     number, work = jnp.arange(len(mean) + 1), end.account.external_work * jnp.append(mean, 0.0)
     found = jnp.where(number < kept.count, work, jnp.where(number == kept.count, end.account.rim, 0.0))
-    # What was swept before the window's first step is given.
+    # The volume swept before the window's first step is given.
     return found.at[0].set(0.0)
 
 
 def _reverse_steps(
     kept: _WindowResiduals, now: ReverseWindow, cotangents: Cotangents, end: State, volume: jax.Array, mean: jax.Array
 ) -> _ReverseState:
-    """To the window's begin, with the cotangents of the volume at every step."""
+    """The state after all reverse steps, at the window's begin; `volume` has the cotangents of the volumes."""
     scene, packed, elements, of = now.scene, now.packed, now.packed.elements, cotangents.of
-    start, positions, real = _recompute_end(kept, now), packed.pack(kept.end), now.thickness.dtype
+    start, positions, real = _begin_reverse_steps(kept, now), packed.pack(kept.end), now.thickness.dtype
     loss = end.account
     rim, places = _rim_cotangents(kept, end, mean), rim_places(scene, kept.mesh, packed)
     thickens = cotangents.want(of[2].thickness)
@@ -338,13 +344,18 @@ def _reverse_steps(
     def reverse_step(carry: _ReverseState) -> _ReverseState:
         n, nodes, corners = carry.number, carry.nodes, carry.corners
         first = n == 0
-        turn = n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]), now.kick[n]
+        step = (
+            n - 1,
+            jnp.where(first, 0.0, now.length),
+            jnp.where(first, 0.0, now.velocity_step[n - 1]),
+            now.velocity_step[n],
+        )
         load = Load(nodes.at, now.thickness, now.pressure[n], now.material)
         damping = scene.solver.damping
         if damping is not None:
             nodes, corners = lax_cond_once(
                 loss.damping_loss != 0.0,
-                lambda both: add_loss_cotangents(*both, load, turn, damping, now, start, loss.damping_loss),
+                lambda both: add_loss_cotangents(*both, load, step, damping, now, start, loss.damping_loss),
                 (nodes, corners),
             )
         nodes = add_weight_cotangents(nodes, now)
@@ -357,16 +368,16 @@ def _reverse_steps(
         if varies:
             law = {name: carry.law[name] + more for name, more in zip(single, sums, strict=True)}
         after = None if places is None else rim_end_positions(nodes, places)
-        nodes = step_nodes_back(nodes, corners, turn, now, start, loss.damping_loss)
+        nodes = step_nodes_back(nodes, corners, step, now, start, loss.damping_loss)
         early, swept = None, carry.rim
         if rim is not None and places is not None and after is not None and swept is not None:
-            nodes, early, own = pull_back_rim(nodes, start.before, after, turn, places, now, rim[n])
+            nodes, early, own = pull_back_rim(nodes, start.before, after, step, places, now, rim[n])
             swept = swept.at[n].set(own)
         if mold is not None:
             back_over = functools.partial(pull_back_landings, mold=mold, now=now, loss=loss.contact_loss)
             nodes = lax_cond_once(
                 lands[n - 1],
-                lambda nodes: back_over(nodes, start.before, turn, (packed.pack(kept.wall), kept.time)),
+                lambda nodes: back_over(nodes, start.before, step, (packed.pack(kept.wall), kept.time)),
                 nodes,
             )
         if early is not None and places is not None:
@@ -379,5 +390,5 @@ def _reverse_steps(
 
 
 differentiable_window = DerivativeRule(
-    _value, _plain_window, _pull, lambda state, *_: state, differentiable_leaves, lasting=True
+    _simulate_window, _recompute_window, _pull_back_window, lambda state, *_: state, differentiable_leaves, lasting=True
 )

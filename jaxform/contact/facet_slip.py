@@ -96,7 +96,7 @@ def slide_within_facets(
         for which alone these are right: the others that lie on a tool are moved by `slide_nodes`; the losses, and
         how far the nodes slide [m].
     """
-    kick, length = steps
+    velocity_step, length = steps
     first, normal, second, third, within = known.vectors()
     carrier, offset = tool_velocity(frames, nodes.tool), tool_offset(frames, nodes.tool)
     trial = nodes.free if carrier is None else minus(nodes.free, carrier)
@@ -111,7 +111,7 @@ def slide_within_facets(
     stays = materialize(nodes.lies & known.holds(nodes.wall, nodes.tool) & inside & (outward <= 0.0))
     place = vector(x - height * q for x, q in zip(end, within, strict=True))
     moves = _moving(nodes.tool, surfaces, frames)
-    losses = _losses(nodes, on_tool, normal, carrier, kick, damping, moves)
+    losses = _losses(nodes, on_tool, normal, carrier, velocity_step, damping, moves)
     return (place, on_tool), stays, losses, length * jnp.sqrt(dot(slip, slip))
 
 
@@ -120,14 +120,14 @@ def _losses(
     velocities: Vector,
     normal: Vector,
     carrier: Any,
-    kick: jax.Array,
+    velocity_step: jax.Array,
     damping: jax.Array | None,
     moves: jax.Array | bool,
 ) -> ContactLosses:
     """Losses (n,) [J] as `sliding` has them, from what the tool changes the velocities by."""
     rate: jax.Array | float = 0.0 if damping is None else damping
     mean = vector(0.5 * (new + old) for new, old in zip(velocities, nodes.velocities, strict=True))
-    scale = nodes.mass * (1.0 + 0.5 * kick * rate)
+    scale = nodes.mass * (1.0 + 0.5 * velocity_step * rate)
     impulse = vector(scale * (new - free) for new, free in zip(velocities, nodes.free, strict=True))
     slip = mean if carrier is None else minus(mean, carrier)
     pushed = dot(impulse, normal) * dot(slip, normal)
@@ -136,7 +136,7 @@ def _losses(
         work=work,
         friction=pushed - dot(impulse, slip),
         impact=jnp.where(moves, 0.0, -pushed),
-        damping=kick * rate * nodes.mass * dot(mean, mean),
+        damping=velocity_step * rate * nodes.mass * dot(mean, mean),
     )
 
 

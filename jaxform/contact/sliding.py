@@ -157,7 +157,7 @@ def _slide_on(
     differentiable: bool,
 ) -> Slid:
     """The nodes after the step, of which those that are `here` (n,) lie on this surface."""
-    kick, length = steps
+    velocity_step, length = steps
     surface = surface.at(nodes.temperature)
     carrier = vector(jnp.zeros_like(nodes.mass) + (0.0 if frame is None else frame.velocity[k]) for k in range(3))
     offset = vector(
@@ -190,7 +190,7 @@ def _slide_on(
     positions = vector(jnp.where(leaves, f, x) for f, x in zip(flown, there, strict=True))
     on_tool = vector(jnp.where(leaves, f, w + c) for f, w, c in zip(nodes.free, slip, carrier, strict=True))
     velocities = vector(jnp.where(leaves, f, w + c) for f, w, c in zip(nodes.free, end.velocity, carrier, strict=True))
-    losses = _losses(nodes, on_tool, normal, carrier, kick, damping, moves=frame is not None)
+    losses = _losses(nodes, on_tool, normal, carrier, velocity_step, damping, moves=frame is not None)
     # A tool that moves does work where it turns a node's way.
     turned = nodes.mass * dot(minus(velocities, on_tool), carrier)
     # Friction acts along the way that was gone: none in a valley, where the next face stops the node.
@@ -229,17 +229,18 @@ def _losses(
     velocities: Vector,
     normal: Vector,
     carrier: Vector,
-    kick: jax.Array,
+    velocity_step: jax.Array,
     damping: jax.Array | None,
     *,
     moves: bool,
 ) -> ContactLosses:
-    """Work and losses (n,) [J] of a kick after which the nodes have these velocities."""
+    """Work and losses (n,) [J] of a velocity update after which the nodes have these velocities."""
     mean = vector(0.5 * (new + old) for new, old in zip(velocities, nodes.velocities, strict=True))
     rate = 0.0 if damping is None else damping
     quads = zip(velocities, nodes.velocities, nodes.nodal, mean, nodes.mobile, strict=True)
     impulse = vector(
-        c * (nodes.mass * (new - old) - kick * f + kick * rate * nodes.mass * v) for new, old, f, v, c in quads
+        c * (nodes.mass * (new - old) - velocity_step * f + velocity_step * rate * nodes.mass * v)
+        for new, old, f, v, c in quads
     )
     # Along the normal a node moves as the tool does, but for the tool's acceleration in the step.
     slip, along = minus(mean, carrier), dot(impulse, normal)
@@ -249,7 +250,7 @@ def _losses(
         work=dot(impulse, carrier) + (pushed if moves else 0.0),
         friction=friction,
         impact=jnp.zeros_like(nodes.mass) if moves else -pushed,
-        damping=kick * rate * nodes.mass * dot(mean, mean),
+        damping=velocity_step * rate * nodes.mass * dot(mean, mean),
     )
 
 

@@ -37,7 +37,7 @@ FAR = 1e4  # of the sheet's size: at such coordinates the run is diverging
 
 
 def update_broad_phase(
-    moving: WindowState, scene: Scene, now: WindowData, candidates: Sequence[Candidates]
+    moving: WindowState, scene: Scene, data: WindowData, candidates: Sequence[Candidates]
 ) -> WindowState:
     """Checks for each surface, every few steps, whether nodes are close to it or will be until the next check.
 
@@ -47,13 +47,13 @@ def update_broad_phase(
     nodes = moving.nodes
 
     def check_again(last: tuple[BroadPhaseCheck, ...]) -> tuple[BroadPhaseCheck, ...]:
-        till_next = jnp.minimum(LOOK_EVERY, now.max_count - moving.count) * now.length
-        count, found = now.active.packed.elements.node_block_count, []
+        till_next = jnp.minimum(LOOK_EVERY, data.max_count - moving.count) * data.length
+        count, found = data.active.packed.elements.node_block_count, []
         for number, listed in enumerate(candidates):
-            frame = _present_frame(moving, scene, now, number)
+            frame = _present_frame(moving, scene, data, number)
             state = jax.lax.stop_gradient((nodes.positions, nodes.velocities, nodes.stuck, till_next, listed))
             close, missed = check_nodes(*state, last[number], count, frame)
-            found.append((close | now.always_check, missed))
+            found.append((close | data.always_check, missed))
         return tuple(found)
 
     due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
@@ -65,22 +65,22 @@ def update_broad_phase(
     )
 
 
-def to_tool_frame(moving: WindowState, scene: Scene, now: WindowData, number: int) -> tuple[Any, jax.Array]:
+def to_tool_frame(moving: WindowState, scene: Scene, data: WindowData, number: int) -> tuple[Any, jax.Array]:
     """Present positions [m] and velocities [m/s], in the frame of the surface where it moves."""
     positions, velocities = moving.nodes.positions, moving.nodes.velocities
-    frame = _present_frame(moving, scene, now, number)
+    frame = _present_frame(moving, scene, data, number)
     if frame is None:
         return positions, velocities
     return frame.places(positions), jnp.stack(frame.speeds(velocities))
 
 
-def _present_frame(moving: WindowState, scene: Scene, now: WindowData, number: int) -> ToolFrame | None:
+def _present_frame(moving: WindowState, scene: Scene, data: WindowData, number: int) -> ToolFrame | None:
     """The frame of a surface in the last step, not differentiable; None where the surface rests."""
     motion = scene.surfaces[number].mold.motion
     if motion is None:
         return None
-    time = now.begin + moving.count * now.length
-    return jax.lax.stop_gradient(motion.frame(time - now.length, time))
+    time = data.begin + moving.count * data.length
+    return jax.lax.stop_gradient(motion.frame(time - data.length, time))
 
 
 def search_contact(
@@ -88,7 +88,7 @@ def search_contact(
     length: jax.Array,
     candidates: Sequence[Candidates],
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     frames: tuple[ToolFrame | None, ...],
     over: jax.Array | None,
 ) -> WindowState:
@@ -101,20 +101,20 @@ def search_contact(
         sticking.touches_already(moved.nodes, number, surface, over) for number, surface in enumerate(scene.surfaces)
     ]
     found = [
-        _active_pairs(moved, listed, scene, now, number, known[number], frames[number])
+        _active_pairs(moved, listed, scene, data, number, known[number], frames[number])
         for number, listed in enumerate(candidates)
     ]
-    flying, this = _free_flight(moved, length, now, frames)
-    due, mass = [blocks for blocks, _ in found], _masses(scene, now)
+    flying, this = _free_flight(moved, length, data, frames)
+    due, mass = [blocks for blocks, _ in found], _masses(scene, data)
     landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, known, moved.hits)
     missed = functools.reduce(operator.or_, [missed for _, missed in moved.last_checks])
     landed = dataclasses.replace(
         _apply_landing(moved, landing),
         hits=met,
-        halted=moved.halted | missed | (moved.count >= now.max_count),
+        halted=moved.halted | missed | (moved.count >= data.max_count),
         stale=functools.reduce(operator.or_, [leaving for _, leaving in found]),
     )
-    return landed if moved.held is None else search_sides(moved, landed, length, candidates, scene, now, frames)
+    return landed if moved.held is None else search_sides(moved, landed, length, candidates, scene, data, frames)
 
 
 def replay_contact(
@@ -122,31 +122,31 @@ def replay_contact(
     length: jax.Array,
     scene: Scene,
     known: KnownContact,
-    now: WindowData,
+    data: WindowData,
     frames: tuple[ToolFrame | None, ...],
 ) -> WindowState:
     """The window state after the known contacts of one step; differentiable."""
-    flying, this = _free_flight(moved, length, now, frames)
+    flying, this = _free_flight(moved, length, data, frames)
     if known.record is None:
         lands = (known.step == this.number) & ~moved.nodes.stuck
         chosen = jnp.where(lands, known.chosen, -1)
     else:
         touching = jnp.where(this.number < known.count, known.record[this.number], -1)
         chosen = jnp.where(moved.nodes.stuck, -1, touching)
-    mass = _masses(scene, now)
+    mass = _masses(scene, data)
     landed = _apply_landing(moved, sticking.apply_known_contact(flying, this, chosen, mass, scene.surfaces))
     if known.sides is not None:
         landed = replay_sides(moved, landed, length, known.sides, scene, frames)
     return dataclasses.replace(landed, halted=moved.halted | (moved.count >= known.count))
 
 
-def _masses(scene: Scene, now: WindowData) -> tuple[jax.Array, jax.Array | None]:
+def _masses(scene: Scene, data: WindowData) -> tuple[jax.Array, jax.Array | None]:
     """The nodes' masses [kg], and where they may slide or a tool moves their compliances [1/kg]."""
-    return now.active.mass, now.active.compliance if scene.slides or scene.moves else None
+    return data.active.mass, data.active.compliance if scene.slides or scene.moves else None
 
 
 def _free_flight(
-    moved: WindowState, length: jax.Array, now: WindowData, frames: tuple[ToolFrame | None, ...]
+    moved: WindowState, length: jax.Array, data: WindowData, frames: tuple[ToolFrame | None, ...]
 ) -> tuple[sticking.Landing, sticking.ContactStep]:
     account = moved.account
     flying = sticking.Landing(
@@ -158,7 +158,7 @@ def _free_flight(
         moved.record,
         account.by_tool.work,
     )
-    return flying, sticking.ContactStep(length, now.begin + moved.count * now.length, moved.count - 1, frames)
+    return flying, sticking.ContactStep(length, data.begin + moved.count * data.length, moved.count - 1, frames)
 
 
 def _apply_landing(moved: WindowState, landing: sticking.Landing) -> WindowState:
@@ -177,11 +177,11 @@ def _apply_landing(moved: WindowState, landing: sticking.Landing) -> WindowState
     )
 
 
-def any_missed(moving: WindowState, candidates: Sequence[Candidates], scene: Scene, now: WindowData) -> jax.Array:
+def any_missed(moving: WindowState, candidates: Sequence[Candidates], scene: Scene, data: WindowData) -> jax.Array:
     """True where, at the end of a list, a node may have missed a surface."""
     missed = jnp.asarray(False)
     for number, (listed, seen) in enumerate(zip(candidates, moving.last_checks, strict=True)):
-        frame = _present_frame(moving, scene, now, number)
+        frame = _present_frame(moving, scene, data, number)
 
         def work(
             positions: Any, stuck: jax.Array, sphere: tuple[jax.Array, ...], seen: Any = seen, frame: Any = frame
@@ -190,7 +190,7 @@ def any_missed(moving: WindowState, candidates: Sequence[Candidates], scene: Sce
             return [], [may_have_missed(places, stuck, sphere, seen)]
 
         inputs = jax.lax.stop_gradient((moving.nodes.positions, moving.nodes.stuck, list_spheres(listed)))
-        _, (count,) = over_blocks(work, now.active.packed.elements.node_block_count, inputs, [], sums=1)
+        _, (count,) = over_blocks(work, data.active.packed.elements.node_block_count, inputs, [], sums=1)
         missed = missed | seen[1] | (count > 0)
     return missed
 
@@ -199,20 +199,20 @@ def _active_pairs(
     moved: WindowState,
     candidates: Candidates,
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     number: int,
     touches: jax.Array,
     frame: ToolFrame | None,
 ) -> tuple[DueBlocks, jax.Array]:
     """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
     state = jax.lax.stop_gradient((moved.nodes.positions, moved.nodes.stuck, touches, candidates))
-    blocks, frame = now.active.packed.elements.node_block_count, jax.lax.stop_gradient(frame)
+    blocks, frame = data.active.packed.elements.node_block_count, jax.lax.stop_gradient(frame)
     close, _ = moved.last_checks[number]
     found = lax_cond_once(close, lambda _: find_active_pairs(*state, blocks, frame), no_active_pairs(candidates))
     return found if scene.solver.skip_far else (all_blocks(candidates), found[1])
 
 
-def check_free_flight(moved: WindowState, scene: Scene, now: WindowData) -> jax.Array:
+def check_free_flight(moved: WindowState, scene: Scene, data: WindowData) -> jax.Array:
     """True where a window without contact halts: a sheet that flies off must not overflow derivatives."""
     far = jnp.max(jnp.abs(jax.lax.stop_gradient(moved.nodes.positions))) > FAR * scene.tables.size
-    return moved.halted | far | (moved.count >= now.max_count)
+    return moved.halted | far | (moved.count >= data.max_count)

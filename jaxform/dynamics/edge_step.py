@@ -29,14 +29,14 @@ def first_edges(scene: Scene) -> list[int]:
     return firsts
 
 
-def list_sides(listed: Candidates, moving: WindowState, scene: Scene, now: WindowData, number: int) -> Candidates:
+def list_sides(listed: Candidates, moving: WindowState, scene: Scene, data: WindowData, number: int) -> Candidates:
     """The candidates of a surface, with the sides that can meet its sharp edges."""
     edges, mold = scene.tables.edges[number], scene.surfaces[number].mold
     if not edges.size:
         return listed
-    left = (now.max_count - moving.count) * now.length
+    left = (data.max_count - moving.count) * data.length
     moved = 0.0 if mold.motion is None else left * mold.motion.highest_speed()
-    elements, stuck = now.active.packed.elements, moving.nodes.stuck
+    elements, stuck = data.active.packed.elements, moving.nodes.stuck
     given = listed, stuck, elements.triangles, elements.area > 0.0, mold, edges, moved
     near = edge_contact.list_near_sides(*jax.lax.stop_gradient(given))
     return dataclasses.replace(listed, sides=near, overflow=listed.overflow | near.overflow)
@@ -47,20 +47,20 @@ def hold_sides_at_edges(
     moved: WindowState,
     steps: tuple[jax.Array, jax.Array],
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     frames: Frames,
 ) -> WindowState:
-    """The state after a step whose forces and velocities are known, with the held sides where they are held.
+    """The window state after a step, with the constraints of the sides that are held at edges of tools.
 
     Args:
-        moving: Before the step.
-        moved: After it, as if nothing were held.
-        steps: The step that the velocity takes, and the step [s].
+        moving: The window state before the step.
+        moved: The window state after it, without these constraints.
+        steps: Time step of the velocity update, and the step length [s].
         scene: The scene.
-        now: The window.
+        data: Constants of the window.
         frames: Frames of the surfaces in the step.
     """
-    kick, length = steps
+    velocity_step, length = steps
     held, nodes, differentiable = moved.held, moved.nodes, moved.room is None
     assert held is not None
     tools = _tools_of_edges(held.edge, scene)
@@ -75,7 +75,7 @@ def hold_sides_at_edges(
             free.velocities,
             before,
             held,
-            now.active.compliance,
+            data.active.compliance,
             immovable,
             length,
             carrier,
@@ -88,7 +88,9 @@ def hold_sides_at_edges(
     account, damping = moved.account, scene.solver.damping
     account = dataclasses.replace(account, contact_loss=account.contact_loss + found.loss)
     if damping is not None:
-        account = dataclasses.replace(account, damping_loss=account.damping_loss + damping * kick * found.damped)
+        account = dataclasses.replace(
+            account, damping_loss=account.damping_loss + damping * velocity_step * found.damped
+        )
     if account.tool_work is not None:
         by_tool = add_by_tool(account.by_tool, scene, tools, found.work)
         account = dataclasses.replace(account, tool_work=account.tool_work + jnp.sum(found.work), by_tool=by_tool)
@@ -120,7 +122,7 @@ def search_sides(
     length: jax.Array,
     candidates: Any,
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     frames: Frames,
 ) -> WindowState:
     """The state after a step, with the sides that are held from now on; `moved` is that before nodes landed."""
@@ -134,7 +136,7 @@ def search_sides(
         paths = _paths(moved, landed, length, frame)
         held = edge_contact.find_held_sides(held, near, paths, landed.nodes, surface, edges, firsts[k], number)
         places = landed.nodes.positions if frame is None else frame.places(landed.nodes.positions)
-        stale |= edge_contact.leaves_list(near, places, now.active.packed.elements.node_block_count)
+        stale |= edge_contact.leaves_list(near, places, data.active.packed.elements.node_block_count)
     return dataclasses.replace(landed, held=held, stale=stale)
 
 

@@ -54,7 +54,7 @@ def step(
     moving: WindowState,
     pressures: tuple[jax.Array, ...],
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     contact: tuple[Candidates, ...] | KnownContact | None = None,
 ) -> WindowState:
     """The window state after one step of the central-difference scheme (the paper's Eq. 8 with damping) and contact.
@@ -64,32 +64,32 @@ def step(
         pressures: Pressure at the step's begin, its mean since the begin of the last step [Pa], and the time over
             which forces accelerate the velocity [s].
         scene: The scene.
-        now: Constants of the window.
+        data: Constants of the window.
         contact: Candidates of each surface, among which contact is searched, or known contact; None without surfaces.
     """
-    pressure, mean_pressure, kick = pressures
-    length = now.length
+    pressure, mean_pressure, velocity_step = pressures
+    length = data.length
     if contact is not None and not isinstance(contact, KnownContact):
-        moving = update_broad_phase(moving, scene, now, contact)
+        moving = update_broad_phase(moving, scene, data, contact)
     if moving.room is None:
         # The remaining steps of a halted window have the length zero, so that they change nothing.
-        length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
-    rim = None if now.rim is None else materialize(rim_ends(moving.nodes.positions, now.rim))
-    begin = now.begin + moving.count * now.length
+        length, velocity_step = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, velocity_step)
+    rim = None if data.rim is None else materialize(rim_ends(moving.nodes.positions, data.rim))
+    begin = data.begin + moving.count * data.length
     last = pressed = moving.account.load_state
     if last is not None:
-        volume = now.active.volume(jnp.asarray(moving.nodes.positions))
+        volume = data.active.volume(jnp.asarray(moving.nodes.positions))
         # The velocity's step is half of the last one and half of this one.
-        pressed = pressure_at(moving.account, scene, begin, 2.0 * kick - length, volume)
+        pressed = pressure_at(moving.account, scene, begin, 2.0 * velocity_step - length, volume)
         pressure, mean_pressure = pressed.pressure, 0.5 * (last.pressure + pressed.pressure)
     frames = scene.frames(begin, begin + length)
-    response = now.active.response(scene.material, _memory(moving, scene, now))
-    load = Load(moving.nodes.positions, now.active.thickness, pressure, *response)
+    response = data.active.response(scene.material, _memory(moving, scene, data))
+    load = Load(moving.nodes.positions, data.active.thickness, pressure, *response)
     if moving.room is None:
-        taken = _advance_nodes(load, moving, kick, length, scene, now, frames)
+        taken = _advance_nodes(load, moving, velocity_step, length, scene, data, frames)
     else:
-        taken = _advance_nodes_in_blocks(load, moving, moving.room, kick, length, scene, now, frames)
-    volume, account = taken.volume + now.active.idle_volume, moving.account
+        taken = _advance_nodes_in_blocks(load, moving, moving.room, velocity_step, length, scene, data, frames)
+    volume, account = taken.volume + data.active.idle_volume, moving.account
     swept = account.swept_volume(volume)
     if moving.room is None:
         # A halted window keeps its account, as a loop would that ends with its last step.
@@ -117,16 +117,16 @@ def step(
         facets=None if taken.slid is None else taken.slid.facets,
     )
     if moving.held is not None and contact is not None:
-        moved = hold_sides_at_edges(moving, moved, (kick, length), scene, now, frames)
+        moved = hold_sides_at_edges(moving, moved, (velocity_step, length), scene, data, frames)
     if isinstance(contact, KnownContact):
-        moved = replay_contact(moved, length, scene, contact, now, frames)
+        moved = replay_contact(moved, length, scene, contact, data, frames)
     elif contact is not None:
         over = None if taken.slid is None else taken.slid.over
-        moved = search_contact(moved, length, contact, scene, now, frames, over)
+        moved = search_contact(moved, length, contact, scene, data, frames, over)
     elif moving.room is None:
-        moved = dataclasses.replace(moved, halted=check_free_flight(moved, scene, now))
-    moved = _add_rim_volume(moved, moving.halted, rim, now)
-    return _advance_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
+        moved = dataclasses.replace(moved, halted=check_free_flight(moved, scene, data))
+    moved = _add_rim_volume(moved, moving.halted, rim, data)
+    return _advance_fields(moved, moving.halted, length, scene, data) if scene.fields else moved
 
 
 def _contact_change(taken: _AdvancedNodes) -> dict[str, jax.Array]:
@@ -136,22 +136,22 @@ def _contact_change(taken: _AdvancedNodes) -> dict[str, jax.Array]:
     return {"wall": taken.slid.wall, "contact_time": taken.slid.contact_time, "slip": taken.slid.distance}
 
 
-def _add_rim_volume(moved: WindowState, halted: jax.Array, before: jax.Array | None, now: WindowData) -> WindowState:
+def _add_rim_volume(moved: WindowState, halted: jax.Array, before: jax.Array | None, data: WindowData) -> WindowState:
     """Adds the volume swept by moving rims in the step, from their ends `before`, unless the window was halted."""
     last = moved.account.rim
-    if before is None or now.rim is None or last is None:
+    if before is None or data.rim is None or last is None:
         return moved
-    swept = rim_swept_volume(before, rim_ends(moved.nodes.positions, now.rim), now.active.packed.elements.origin)
+    swept = rim_swept_volume(before, rim_ends(moved.nodes.positions, data.rim), data.active.packed.elements.origin)
     kept = swept if moved.room is not None else jnp.where(halted, last, swept)
     return dataclasses.replace(moved, account=dataclasses.replace(moved.account, rim=kept))
 
 
-def _memory(moving: WindowState, scene: Scene, now: WindowData) -> ViscousMemory | None:
+def _memory(moving: WindowState, scene: Scene, data: WindowData) -> ViscousMemory | None:
     """History of the elements at the step's begin; in the first step of a window it is the stress of the modes."""
     modes = scene.material.viscous
-    if modes is None or moving.memory is None or now.recursion is None:
+    if modes is None or moving.memory is None or data.recursion is None:
         return None
-    gain = jnp.where(moving.count == 0, 0.0, now.recursion[1])
+    gain = jnp.where(moving.count == 0, 0.0, data.recursion[1])
     return dataclasses.replace(present_memory(moving.memory, modes), gain=gain)
 
 
@@ -170,25 +170,25 @@ def _update_memory(moving: WindowState, remembered: HistoryUpdate | None) -> jax
     return jnp.where(moving.halted, moving.memory, remembered[0])
 
 
-def finalize_history(moving: WindowState, scene: Scene, now: WindowData) -> WindowState:
+def finalize_history(moving: WindowState, scene: Scene, data: WindowData) -> WindowState:
     """The window state at a window's end: its memory is the stress of the Prony terms, its viscous loss complete."""
-    memory, lost = _memory(moving, scene, now), moving.account.viscous_loss
-    modes = now.losing
+    memory, lost = _memory(moving, scene, data), moving.account.viscous_loss
+    modes = data.losing
     if memory is None or modes is None or lost is None:
         return moving
-    load = Load(moving.nodes.positions, now.active.thickness, now.length, scene.material.elastic, memory)
-    stress, rate = present_mode_stress(load, now.active.packed.elements, modes, differentiable=moving.room is None)
-    lost += jnp.where(moving.count == 0, 0.0, 0.5) * now.length * rate
+    load = Load(moving.nodes.positions, data.active.thickness, data.length, scene.material.elastic, memory)
+    stress, rate = present_mode_stress(load, data.active.packed.elements, modes, differentiable=moving.room is None)
+    lost += jnp.where(moving.count == 0, 0.0, 0.5) * data.length * rate
     return dataclasses.replace(moving, memory=stress, account=dataclasses.replace(moving.account, viscous_loss=lost))
 
 
 def _advance_fields(
-    moved: WindowState, halted: jax.Array, length: jax.Array, scene: Scene, now: WindowData
+    moved: WindowState, halted: jax.Array, length: jax.Array, scene: Scene, data: WindowData
 ) -> WindowState:
     """Advances the user-defined fields by the step, unless the window was halted before it."""
     nodes = moved.nodes
     step = Surroundings(
-        time=now.begin + moved.count * now.length,
+        time=data.begin + moved.count * data.length,
         length=length,
         positions=jnp.asarray(nodes.positions),
         velocities=nodes.velocities,
@@ -255,39 +255,41 @@ def _no_energies(scene: Scene, real: Any) -> ToolEnergies:
 def _advance_nodes(
     load: Load,
     moving: WindowState,
-    kick: jax.Array,
+    velocity_step: jax.Array,
     length: jax.Array,
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     frames: tuple[ToolFrame | None, ...],
 ) -> _AdvancedNodes:
-    nodal, volume = force(load, now.active.packed.elements)
-    nodal = add_gravity(nodal, now.active.mass, scene.solver.gravity)
+    nodal, volume = force(load, data.active.packed.elements)
+    nodal = add_gravity(nodal, data.active.mass, scene.solver.gravity)
     own = moving.nodes
-    nodes = own.stuck, now.active.mass, now.active.compliance
-    velocities, losses = update_velocity(nodal, own.velocities, nodes, kick, scene.solver.damping)
+    nodes = own.stuck, data.active.mass, data.active.compliance
+    velocities, losses = update_velocity(nodal, own.velocities, nodes, velocity_step, scene.solver.damping)
     work: jax.Array | float = 0.0
     by_tool = _no_energies(scene, own.velocities.dtype)
     carrier = tool_velocity(frames, own.tool)
     if carrier is not None:
         both = own.velocities, velocities
-        velocities, held, done = apply_tool_velocity(nodal, both, nodes, own.wall, kick, carrier)
+        velocities, held, done = apply_tool_velocity(nodal, both, nodes, own.wall, velocity_step, carrier)
         work, losses = total(done), None if losses is None else jnp.where(held, 0.0, losses)
         # In a halted window tools do not move nodes, and do no work.
         velocities = [jnp.where(moving.halted, old, new) for old, new in zip(both[0], velocities, strict=True)]
         work = jnp.where(moving.halted, 0.0, work)
         by_tool = add_by_tool(by_tool, scene, own.tool, jnp.where(moving.halted, 0.0, done))
     positions = own.positions + length * jnp.stack(velocities)
-    rest, modes = None, now.losing
-    if modes is not None and now.recursion is not None:
-        rest = update_history(load, now.active.packed.elements, modes, now.recursion)
+    rest, modes = None, data.losing
+    if modes is not None and data.recursion is not None:
+        rest = update_history(load, data.active.packed.elements, modes, data.recursion)
     loss = total(losses) if losses is not None else 0.0
     taken = _AdvancedNodes(positions, jnp.stack(velocities), volume, loss, None, rest, work, by_tool=by_tool)
     if own.slip is None:
         return taken
     lies = lying_nodes(own.stuck, own.wall) & ~moving.halted
     lying = LyingNodes.of(own, velocities, nodal, nodes[1:], lies)
-    slid = slide_nodes(lying, (kick, length), scene.surfaces, frames, scene.solver.damping, differentiable=True)
+    slid = slide_nodes(
+        lying, (velocity_step, length), scene.surfaces, frames, scene.solver.damping, differentiable=True
+    )
     lost = slid.losses
     damped = 0.0 if losses is None else total(jnp.where(lies, lost.damping, losses))
     return taken._replace(
@@ -311,20 +313,20 @@ def _advance_nodes_in_blocks(
     load: Load,
     moving: WindowState,
     room: Corners,
-    kick: jax.Array,
+    velocity_step: jax.Array,
     length: jax.Array,
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     frames: tuple[ToolFrame | None, ...],
 ) -> _AdvancedNodes:
     """Advances elements and nodes in one pass over each of those in use; not differentiable."""
-    elements = now.active.packed.elements
-    modes, rest = now.losing, None
-    if modes is None or now.recursion is None:
+    elements = data.active.packed.elements
+    modes, rest = data.losing, None
+    if modes is None or data.recursion is None:
         corners, volume = corner_forces(load, elements, room)
     else:
-        corners, volume, rest = viscous_corner_forces(load, elements, room, modes, now.recursion)
-    nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
+        corners, volume, rest = viscous_corner_forces(load, elements, room, modes, data.recursion)
+    nodes = moving.nodes.stuck, data.active.mass, data.active.compliance
     own = moving.nodes
     moves, slides = any(frame is not None for frame in frames), scene.slides
 
@@ -334,10 +336,12 @@ def _advance_nodes_in_blocks(
     def work(old: Any, table: Any, nodes: Any, wall: Any, tool: Any, facets: Any, temperature: Any) -> Any:
         (x,), (y,), (z,), before, *slipped = old
         nodal, sums = add_gravity(gather_shares(corners, table), nodes[1], scene.solver.gravity), []
-        velocities, losses = update_velocity(nodal, before, nodes, kick, damping)
+        velocities, losses = update_velocity(nodal, before, nodes, velocity_step, damping)
         if moves:
             carrier = tool_velocity(frames, tool)
-            velocities, held, done = apply_tool_velocity(nodal, (before, velocities), nodes, wall, kick, carrier)
+            velocities, held, done = apply_tool_velocity(
+                nodal, (before, velocities), nodes, wall, velocity_step, carrier
+            )
             sums = [done, *split_by_tool(done, tool, worked)]
             losses = None if losses is None else jnp.where(held, 0.0, losses)
         new = vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True))
@@ -349,7 +353,7 @@ def _advance_nodes_in_blocks(
         )
         lies = lying_nodes(nodes[0], wall)
         lying = LyingNodes.of(there, materialize(velocities), nodal, nodes[1:], lies)
-        slid = slide_within_facets(lying, facets, (kick, length), surfaces, frames, damping)
+        slid = slide_within_facets(lying, facets, (velocity_step, length), surfaces, frames, damping)
         (place, on_tool), stays, lost, distance = slid
         # Nodes that leave their triangle are moved by `_walk_nodes`.
         new = _choose(stays, place, _choose(lies, (x, y, z), new))
@@ -396,7 +400,7 @@ def _advance_nodes_in_blocks(
     friction, impact, walking = sums[-3:]
     contact = _SlidContact(own.wall, own.contact_time, new[4][0], jnp.zeros_like(own.stuck), moving.facets)
     taken = taken._replace(friction=friction, impact=impact, slid=contact)
-    return _walk_nodes(taken, moving, new[5][0], walking > 0.0, (kick, length), scene, now, frames)
+    return _walk_nodes(taken, moving, new[5][0], walking > 0.0, (velocity_step, length), scene, data, frames)
 
 
 def _split_at(values: list[jax.Array], place: int) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
@@ -426,17 +430,17 @@ def _walk_nodes(
     any_walks: jax.Array,
     steps: tuple[jax.Array, jax.Array],
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     frames: tuple[ToolFrame | None, ...],
 ) -> _AdvancedNodes:
     """Advances the nodes (n,) that leave their triangles, which have not been moved yet; not differentiable."""
     own, damping, corners = moving.nodes, scene.solver.damping, taken.room
     assert corners is not None and taken.slid is not None
-    slots = now.active.packed.elements.slots
+    slots = data.active.packed.elements.slots
 
     def walk(node: jax.Array, before: _Walking, lies: jax.Array) -> _Walking:
         """The data of the nodes with these numbers (n,) after their walk, from those before it."""
-        every = own.stuck, now.active.mass, now.active.compliance, own.tool, own.temperature
+        every = own.stuck, data.active.mass, data.active.compliance, own.tool, own.temperature
         stuck, mass, compliance, tool, temperature = jax.tree.map(lambda values: membrane.gather(values, node), every)
         table = membrane.gather(slots, node), jnp.int32(len(slots))
         nodal = add_gravity(gather_shares(corners, table), mass, scene.solver.gravity)
@@ -468,7 +472,7 @@ def _walk_nodes(
 
     def walk_all(begun: _Walking) -> _Walking:
         if on_cpu():
-            return _in_groups(walk, begun, walks, now.active.packed.elements.node_block_count)
+            return _in_groups(walk, begun, walks, data.active.packed.elements.node_block_count)
         new = walk(jnp.arange(walks.size), begun, walks)
         return jax.tree.map(lambda one, other: jnp.where(walks, one, other) if one.ndim else one, new, begun)
 
@@ -494,19 +498,19 @@ def _in_groups(
     """The data of all nodes after the walks of those marked (n,), `_LANES` at a time."""
     listed, count = list_marked(walks, block_count)
 
-    def take(group: jax.Array, now: _Walking) -> _Walking:
+    def take(group: jax.Array, data: _Walking) -> _Walking:
         node = slice_at(listed, group * _LANES, _LANES)
         left = jnp.minimum(count - group * _LANES, _LANES)
-        before = jax.tree.map(lambda x: membrane.gather(x, node) if x.ndim else x, now)
+        before = jax.tree.map(lambda x: membrane.gather(x, node) if x.ndim else x, data)
         # All is read before anything is written (docs/explanation/kernels.md).
-        before, now = materialize((before, now))
+        before, data = materialize((before, data))
         new = materialize(walk(node, before, jnp.arange(_LANES) < left))
 
-        def write(lane: jax.Array, now: _Walking) -> _Walking:
+        def write(lane: jax.Array, data: _Walking) -> _Walking:
             return jax.tree.map(
-                lambda old, x: put(old, slice_at(x, lane, 1), entry(node, lane)) if x.ndim else x, now, new
+                lambda old, x: put(old, slice_at(x, lane, 1), entry(node, lane)) if x.ndim else x, data, new
             )
 
-        return jax.lax.fori_loop(0, left, write, now)
+        return jax.lax.fori_loop(0, left, write, data)
 
     return jax.lax.fori_loop(0, -(-count // _LANES), take, begun)

@@ -123,7 +123,7 @@ def _step_window(
 ) -> tuple[PackedState, WindowState, Workspace | None]:
     (length, max_count, (mode, bound, sharpness, rung), workspace), row = decisions
     modes = active.viscous(scene.material)
-    now = WindowData(
+    data = WindowData(
         active=active,
         begin=state.time,
         length=length,
@@ -140,19 +140,19 @@ def _step_window(
     steps = *pressures(scene.pressure, timing, longest), velocity_steps(timing, longest)
     lists = None
     if differentiable:
-        moving, searched = _replay_steps(state, scene, now, steps)
+        moving, searched = _replay_steps(state, scene, data, steps)
     else:
-        moving, searched, lists = _advance(state, scene, now, steps, workspace, impacts)
-    moving = finalize_history(moving, scene, now)
+        moving, searched, lists = _advance(state, scene, data, steps, workspace, impacts)
+    moving = finalize_history(moving, scene, data)
     begin = dataclasses.replace(
         state,
         nodes=dataclasses.replace(state.nodes, mode=mode),
         control=dataclasses.replace(state.control, sharpness=sharpness, rung=rung),
     )
-    end, corners = end_of_window_energy(moving, scene, now)
+    end, corners = end_of_window_energy(moving, scene, data)
     if workspace is not None:
         workspace = Workspace(corners, workspace.basis, lists)
-    return end_window(begin, moving, end, searched, scene, now), moving, workspace
+    return end_window(begin, moving, end, searched, scene, data), moving, workspace
 
 
 _Steps = tuple[jax.Array, ...]
@@ -165,7 +165,7 @@ _Searching = tuple[WindowState, ContactSearch, _Lists]
 def _advance(
     state: PackedState,
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     steps: _Steps,
     workspace: Workspace | None,
     impacts: bool,
@@ -173,22 +173,22 @@ def _advance(
 ) -> tuple[WindowState, ContactSearch | None, _Lists | None]:
     """The window state after its steps, with contact searched for; not differentiable."""
     if workspace is None:
-        corners = allocate_corner_forces(state.nodes.positions, now.active.packed.elements)
+        corners = allocate_corner_forces(state.nodes.positions, data.active.packed.elements)
     else:
         corners = workspace.corners
-    moving = _begin_window(state, scene, now, corners, impacts, recorded)
+    moving = _begin_window(state, scene, data, corners, impacts, recorded)
     moving = _set_positions(moving, membrane.unstack_rows(state.nodes.positions))
     if not scene.surfaces:
-        moving, searched, lists = _advance_until_halted(moving, scene, now, steps), None, None
+        moving, searched, lists = _advance_until_halted(moving, scene, data, steps), None, None
     else:
         lists = None if workspace is None else workspace.lists
         lists = _allocate_lists(scene, state.nodes.positions) if lists is None else lists
-        moving, searched, lists = _advance_over_lists(moving, scene, now, steps, lists)
+        moving, searched, lists = _advance_over_lists(moving, scene, data, steps, lists)
     return _set_positions(moving, jnp.stack(moving.nodes.positions)), searched, lists
 
 
 def _advance_over_lists(
-    moving: WindowState, scene: Scene, now: WindowData, steps: _Steps, lists: _Lists
+    moving: WindowState, scene: Scene, data: WindowData, steps: _Steps, lists: _Lists
 ) -> tuple[WindowState, ContactSearch, _Lists]:
     """The window state after its steps with tools; candidates are listed again whenever the lists become stale."""
     count = len(scene.surfaces)
@@ -197,49 +197,49 @@ def _advance_over_lists(
         carry: tuple[WindowState, ContactSearch, _Lists],
     ) -> tuple[WindowState, ContactSearch, _Lists]:
         moving, (most, overflow, any_before), lists = carry
-        candidates = tuple(_list_candidates(moving, scene, now, number, lists[number]) for number in range(count))
+        candidates = tuple(_list_candidates(moving, scene, data, number, lists[number]) for number in range(count))
         full = functools.reduce(operator.or_, [listed.overflow for listed in candidates])
         moving = dataclasses.replace(
             moving, halted=moving.halted | full, stale=jnp.asarray(False), check=(initial_check(),) * count
         )
-        moving = _advance_until_halted(moving, scene, now, steps, candidates)
-        missed = any_missed(moving, candidates, scene, now)
+        moving = _advance_until_halted(moving, scene, data, steps, candidates)
+        missed = any_missed(moving, candidates, scene, data)
         pairs = functools.reduce(jnp.maximum, [listed.count for listed in candidates], most)
         moving = dataclasses.replace(moving, halted=moving.halted | missed)
         found = pairs, overflow | full, any_before | missed
         return moving, found, tuple(listed.lists for listed in candidates)
 
     none = jnp.int32(0), jnp.asarray(False), jnp.asarray(False)
-    return jax.lax.while_loop(lambda carry: _continues(carry[0], now), advance_with_lists, (moving, none, lists))
+    return jax.lax.while_loop(lambda carry: _continues(carry[0], data), advance_with_lists, (moving, none, lists))
 
 
 def _advance_until_halted(
-    moving: WindowState, scene: Scene, now: WindowData, steps: _Steps, candidates: tuple[Candidates, ...] | None = None
+    moving: WindowState, scene: Scene, data: WindowData, steps: _Steps, candidates: tuple[Candidates, ...] | None = None
 ) -> WindowState:
     """The window state after steps until the window ends or the lists of candidates become stale."""
 
     def continues(moving: WindowState) -> jax.Array:
-        more = _continues(moving, now)
+        more = _continues(moving, data)
         return more if moving.stale is None else more & ~moving.stale
 
     def advance(moving: WindowState) -> WindowState:
-        return step(moving, jax.tree.map(lambda x: entry(x, moving.count), steps), scene, now, candidates)
+        return step(moving, jax.tree.map(lambda x: entry(x, moving.count), steps), scene, data, candidates)
 
     return jax.lax.while_loop(continues, advance, moving)
 
 
-def _continues(moving: WindowState, now: WindowData) -> jax.Array:
-    return (moving.count < now.max_count) & ~moving.halted
+def _continues(moving: WindowState, data: WindowData) -> jax.Array:
+    return (moving.count < data.max_count) & ~moving.halted
 
 
 def _replay_steps(
-    state: PackedState, scene: Scene, now: WindowData, steps: _Steps
+    state: PackedState, scene: Scene, data: WindowData, steps: _Steps
 ) -> tuple[WindowState, ContactSearch | None]:
     """The window state after its steps, differentiable; with tools, contact is first searched without derivative."""
     searched = known = None
-    moving = _begin_window(state, scene, now)
+    moving = _begin_window(state, scene, data)
     if scene.surfaces:
-        found, searched, _ = _advance(*jax.lax.stop_gradient((state, scene, now, steps)), None, False, scene.slides)
+        found, searched, _ = _advance(*jax.lax.stop_gradient((state, scene, data, steps)), None, False, scene.slides)
         chosen = sticking.encode_landing(found.nodes.wall, found.nodes.tool, scene.surfaces)
         held = found.held
         sides = None if held is None else KnownSides(held.ends, held.edge, held.step)
@@ -251,7 +251,7 @@ def _replay_steps(
             moving = dataclasses.replace(
                 moving, held=dataclasses.replace(moving.held, **known.sides._asdict(), count=count)
             )
-    moving = _scan_in_chunks(lambda moving, own: (step(moving, own, scene, now, known), None), moving, steps)
+    moving = _scan_in_chunks(lambda moving, own: (step(moving, own, scene, data, known), None), moving, steps)
     return moving, searched
 
 
@@ -287,23 +287,23 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
         limit = state.nodes.mode, bound, state.control.sharpness, state.control.rung
         return (length, most, limit, None), (row, left)
 
-    def beyond_schedule(*now: Any) -> _Decisions:
-        return choose_step(*now), (row, jnp.full_like(state.time, jnp.inf))
+    def beyond_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
+        return choose_step(state, scene, active), (row, jnp.full_like(state.time, jnp.inf))
 
-    now = jax.lax.stop_gradient((state, scene, active))
-    return jax.lax.cond(row < schedule.counts.size, from_schedule, beyond_schedule, *now)
+    arguments = jax.lax.stop_gradient((state, scene, active))
+    return jax.lax.cond(row < schedule.counts.size, from_schedule, beyond_schedule, *arguments)
 
 
 def _begin_window(
     state: PackedState,
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     room: Corners | None = None,
     impacts: bool = False,
     recorded: bool = False,
 ) -> WindowState:
     """The window state before the first step; with a workspace for corner forces if no derivative is taken."""
-    places, positions = now.active.mass.size, state.nodes.positions
+    places, positions = data.active.mass.size, state.nodes.positions
     searches = bool(scene.surfaces) and room is not None
     return WindowState(
         nodes=state.nodes.contact_fields(),
@@ -319,8 +319,8 @@ def _begin_window(
         room=room,
         hits=sticking.no_hits(places, positions.dtype) if searches else None,
         record=jnp.full((scene.tables.window_room, places), -1, jnp.int32) if recorded else None,
-        facets=begin_facets(state.nodes, now.active.compliance, scene.surfaces) if scene.slides and searches else None,
-        held=None if state.held is None else state.held.at(now.active.packed.place),
+        facets=begin_facets(state.nodes, data.active.compliance, scene.surfaces) if scene.slides and searches else None,
+        held=None if state.held is None else state.held.at(data.active.packed.place),
     )
 
 
@@ -340,23 +340,23 @@ def _scan_in_chunks(advance: Callable[..., Any], moving: WindowState, steps: tup
 
 
 def _list_candidates(
-    moving: WindowState, scene: Scene, now: WindowData, number: int, into: CandidateLists
+    moving: WindowState, scene: Scene, data: WindowData, number: int, into: CandidateLists
 ) -> Candidates:
     """Candidates for the remaining steps of a window, of one surface."""
-    places = to_tool_frame(moving, scene, now, number)
+    places = to_tool_frame(moving, scene, data, number)
     (positions, velocities), grid = jax.lax.stop_gradient((places, scene.surfaces[number].grid))
     listed = list_candidates(
         jnp.stack(positions),
         velocities,
         ~moving.nodes.stuck,
-        jax.lax.stop_gradient(now.length),
-        now.max_count - moving.count,
+        jax.lax.stop_gradient(data.length),
+        data.max_count - moving.count,
         grid,
         scene.solver.skip_far,
         into,
-        now.active.packed.elements.node_block_count,
+        data.active.packed.elements.node_block_count,
     )
-    return list_sides(listed, moving, scene, now, number) if scene.tables.edges else listed
+    return list_sides(listed, moving, scene, data, number) if scene.tables.edges else listed
 
 
 def _allocate_lists(scene: Scene, positions: jax.Array) -> _Lists:

@@ -41,17 +41,17 @@ def end_window(
     end: WindowEnd,
     searched: ContactSearch | None,
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
 ) -> PackedState:
     """The state at the window's end, or where the window is rejected that at its begin, to be retried."""
     kinetic, behind, largest, tool = end
-    account = dataclasses.replace(moving.account, gravity_work=_add_gravity_work(state, moving, scene, now))
+    account = dataclasses.replace(moving.account, gravity_work=_add_gravity_work(state, moving, scene, data))
     work = jax.lax.stop_gradient(account.work)
     new = dataclasses.replace(
         state,
         nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
         memory=moving.memory,
-        held=None if moving.held is None else moving.held.at(now.active.packed.node),
+        held=None if moving.held is None else moving.held.at(data.active.packed.node),
         account=dataclasses.replace(
             account,
             peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
@@ -60,18 +60,18 @@ def end_window(
             tool_last=tool[0] if tool else None,
             last_by_tool=tuple(tool[1:]),
         ),
-        control=dataclasses.replace(state.control, step_length=now.length, bound=now.bound),
-        time=state.time + moving.count * now.length,
+        control=dataclasses.replace(state.control, step_length=data.length, bound=data.bound),
+        time=state.time + moving.count * data.length,
         steps=state.steps + moving.count,
         windows=state.windows + 1,
     )
-    rounding = energy_rounding(scene, now.active.substance)
-    status, imbalance = _health(new, end, rounding, scene, now.active)
+    rounding = energy_rounding(scene, data.active.substance)
+    status, imbalance = _health(new, end, rounding, scene, data.active)
     new = dataclasses.replace(new, account=dataclasses.replace(new.account, imbalance=imbalance))
     # A window whose energy balance misses too much is retried with shorter steps, a few times.
     jump = jnp.abs(imbalance - state.account.imbalance) - rounding
     gained = imbalance - jnp.maximum(state.account.imbalance, 0.0) - rounding
-    gains = (gained > _GAIN_TOLERANCE * new.account.peak_work) & (damped_share(now.length, scene) < 1.0)
+    gains = (gained > _GAIN_TOLERANCE * new.account.peak_work) & (damped_share(data.length, scene) < 1.0)
     unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) | gains
     unsure &= state.control.retries < _RETRIES_FOR_ENERGY
     # An unstable window, and one in which a node may have missed the mold, is retried with half the step: the sheet
@@ -90,11 +90,11 @@ def end_window(
     else:
         status |= jnp.where((largest > box.reach) & ~bad, Status.ESCAPED, 0)
     retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
-    if now.row is not None:
-        spent = moving.count * now.length
-        whole = now.row[1] - spent <= SLACK * now.length
+    if data.row is not None:
+        spent = moving.count * data.length
+        whole = data.row[1] - spent <= SLACK * data.length
         row_time = jnp.where(whole, 0.0, state.replay.row_time + spent)
-        new = dataclasses.replace(new, replay=Replay(now.row[0] + whole, row_time))
+        new = dataclasses.replace(new, replay=Replay(data.row[0] + whole, row_time))
     # One conditional for the whole state: leaf by leaf there would be a kernel for each.
     kept = lax_cond_once(bad, lambda _: state, new, differentiable=moving.room is None)
     return dataclasses.replace(
@@ -102,9 +102,9 @@ def end_window(
         status=status.astype(jnp.int32),
         control=dataclasses.replace(
             kept.control,
-            span=_next_span(state, bad, jump <= _QUIET * new.account.peak_work, searched, scene, now, new.time),
+            span=_next_span(state, bad, jump <= _QUIET * new.account.peak_work, searched, scene, data, new.time),
             retries=retries,
-            last_length=now.length,
+            last_length=data.length,
             last_count=jnp.where(bad, 0, moving.count),
         ),
         windows=new.windows,
@@ -112,12 +112,12 @@ def end_window(
     )
 
 
-def _add_gravity_work(state: PackedState, moving: WindowState, scene: Scene, now: WindowData) -> jax.Array | None:
+def _add_gravity_work(state: PackedState, moving: WindowState, scene: Scene, data: WindowData) -> jax.Array | None:
     """Work of gravity [J] up to the window's end; None where none acts."""
     before, gravity = state.account.gravity_work, scene.solver.gravity
     if before is None or gravity is None:
         return None
-    return before + gravity @ jnp.sum(now.active.mass * (moving.nodes.positions - state.nodes.positions), axis=1)
+    return before + gravity @ jnp.sum(data.active.mass * (moving.nodes.positions - state.nodes.positions), axis=1)
 
 
 def _next_span(
@@ -126,7 +126,7 @@ def _next_span(
     quiet: jax.Array,
     searched: ContactSearch | None,
     scene: Scene,
-    now: WindowData,
+    data: WindowData,
     time: jax.Array,
 ) -> jax.Array:
     """Number of steps of the next window.
@@ -137,7 +137,7 @@ def _next_span(
     """
     if scene.tables.window_room <= SHORT_WINDOW:
         return state.control.span
-    longer = quiet & (jnp.abs(now.bound - state.control.bound) <= _STEADY * state.control.bound)
+    longer = quiet & (jnp.abs(data.bound - state.control.bound) <= _STEADY * state.control.bound)
     if searched is not None:
         counts = scene.tables.counts
         nodes = scene.tables.mobility.shape[1] if counts is None else counts.nodes
@@ -148,7 +148,7 @@ def _next_span(
         jnp.maximum(state.control.span // 2, jnp.minimum(SHORT_WINDOW, longest)),
     )
     span = jnp.where(longer, twice, half)
-    windows = (scene.solver.end_time - time) / (SHORT_WINDOW * now.length)
+    windows = (scene.solver.end_time - time) / (SHORT_WINDOW * data.length)
     span = jnp.where(windows > scene.tables.planned - state.windows, longest, span)
     return jnp.where(rejected, jnp.minimum(SHORT_WINDOW, longest), span)
 
@@ -162,37 +162,37 @@ work of the moving tools by the present forces [J], their total first: empty whe
 """
 
 
-def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> tuple[WindowEnd, Corners]:
+def end_of_window_energy(moving: WindowState, scene: Scene, data: WindowData) -> tuple[WindowEnd, Corners]:
     """Energies at a window's end, and the workspace for corner forces; not differentiable.
 
     The kinetic energy is that of the product of the velocities half a step before and half a step after the positions,
     which a linear mode conserves.
     """
-    moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
-    active, elements = now.active, now.active.packed.elements
+    moving, scene, data = jax.lax.stop_gradient((moving, scene, data))
+    active, elements = data.active, data.active.packed.elements
     positions = moving.nodes.positions
-    time = now.begin + moving.count * now.length
+    time = data.begin + moving.count * data.length
     volume = None if moving.account.load_state is None else active.volume(positions)
-    pressure = pressure_at(moving.account, scene, time, now.length, volume).pressure
+    pressure = pressure_at(moving.account, scene, time, data.length, volume).pressure
     modes = scene.material.viscous
     memory = None if modes is None or moving.memory is None else present_memory(moving.memory, modes)
     load = Load(positions, active.thickness, pressure, *active.response(scene.material, memory))
     room = allocate_corner_forces(positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
-    frames = scene.frames(time, time + now.length)
+    frames = scene.frames(time, time + data.length)
     moves = scene.moves
     middle = None if scene.tables.box is None else scene.tables.box.middle
 
     def work(own: Any, nodes: Any, positions: Any, velocities: Any, wall: Any, tool: Any) -> Any:
         nodal, done = add_gravity(gather_shares(corners, own), nodes[1], scene.solver.gravity), []
-        ahead, _ = update_velocity(nodal, velocities, nodes, now.length, scene.solver.damping)
+        ahead, _ = update_velocity(nodal, velocities, nodes, data.length, scene.solver.damping)
         if moves:
             # Half of the work from the present force to the next one, at the present velocity of the tool.
             carrier = tool_velocity(frames, tool)
-            ahead, held, _ = apply_tool_velocity(nodal, (velocities, ahead), nodes, wall, now.length, carrier)
+            ahead, held, _ = apply_tool_velocity(nodal, (velocities, ahead), nodes, wall, data.length, carrier)
             triples = zip(nodal, velocities, ahead, strict=True)
-            pulls = [(nodes[1] * (new - old) - now.length * own) * old for own, old, new in triples]
+            pulls = [(nodes[1] * (new - old) - data.length * own) * old for own, old, new in triples]
             each = jnp.where(held, 0.5 * sum(pulls), 0.0)
             done = [each, *split_by_tool(each, tool, scene.moving_tools)]
         half = 0.5 * nodes[1]

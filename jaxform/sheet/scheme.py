@@ -1,4 +1,4 @@
-"""The central-difference scheme in time: when pressure acts, how far a velocity is taken, and the kick itself.
+"""The central-difference scheme: pressures and velocity steps of a window, and the velocity update.
 
 Velocities are half a step behind the positions.
 """
@@ -47,7 +47,7 @@ def pressures(pressure: Loading, timing: WindowTiming, count: int) -> tuple[jax.
 
 
 def velocity_steps(timing: WindowTiming, count: int) -> jax.Array:
-    """The step that the velocity takes in each of the `count` steps of a window [s]."""
+    """Time steps of the velocity updates in each of the `count` steps of a window [s]."""
     _, before, length = timing
     return jnp.where(jnp.arange(count) == 0, 0.5 * (before + length), length)
 
@@ -61,22 +61,30 @@ def update_velocity(
     nodal: Any,
     velocities: Any,
     nodes: tuple[jax.Array, jax.Array, Any],
-    kick: jax.Array,
+    velocity_step: jax.Array,
     damping: jax.Array | None,
 ) -> tuple[membrane.Vector, jax.Array | None]:
-    """New velocities, and the loss (n,) [J] by damping where there is any, of nodes stuck or not, mass, compliance."""
+    """New velocities, three times (n,) [m/s], and the damping loss (n,) [J]; None without damping.
+
+    Args:
+        nodal: Forces, three times (n,) [N].
+        velocities: Velocities half a step before the positions, three times (n,) [m/s].
+        nodes: True for stuck nodes (n,), mass (n,) [kg] and compliance, three times (n,) [1/kg].
+        velocity_step: Time step of the velocity update [s].
+        damping: Mass-proportional damping [1/s]; None without damping.
+    """
     stuck, mass, compliance = nodes
-    gains = [kick * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
+    gains = [velocity_step * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
     if damping is None:
         return materialize(vector(old + gain for old, gain in zip(velocities, gains, strict=True))), None
-    half = 0.5 * damping * kick
+    half = 0.5 * damping * velocity_step
     rest = 1.0 / (1.0 + half)  # one division, not three at every node
-    # Kept, since the positions and the loss would each work them, and the force, out again.
+    # Materialized: else the positions and the loss would each compute them, and the force, again.
     gains = materialize(vector(0.5 * gain for gain in gains))
     # The mean of both velocities, of which the loss is made; the new ones follow from it, without the old.
     mean = materialize(vector(rest * (old + gain) for old, gain in zip(velocities, gains, strict=True)))
     new = vector((1.0 - half) * middle + gain for middle, gain in zip(mean, gains, strict=True))
-    return new, kick * damping * mass * membrane.dot(mean, mean)
+    return new, velocity_step * damping * mass * membrane.dot(mean, mean)
 
 
 def apply_tool_velocity(
@@ -84,17 +92,20 @@ def apply_tool_velocity(
     velocities: tuple[Any, Any],
     nodes: tuple[jax.Array, jax.Array, Any],
     wall: jax.Array,
-    kick: jax.Array,
+    velocity_step: jax.Array,
     carrier: Any,
 ) -> tuple[membrane.Vector, jax.Array, jax.Array]:
-    """New velocities where a tool moves: what it holds has the tool's; that it holds them, and its work (n,) [J].
+    """New velocities where tools move: nodes that stick to a tool take its velocity.
+
+    Returns:
+        Velocities, three times (n,) [m/s]; True for the nodes that stick to a tool (n,); work of the tools (n,) [J].
 
     Args:
         nodal: Forces, three times (n,) [N].
-        velocities: Before the kick, and after it as if nothing were held, three times (n,) each [m/s].
-        nodes: Whether they are stuck (n,), their mass (n,) [kg] and compliance, three times (n,) [1/kg].
-        wall: What they stick to (n,); 0 where they are clamped.
-        kick: The step that the velocity takes [s].
+        velocities: Velocities before the update, and after that of free nodes, three times (n,) each [m/s].
+        nodes: True for stuck nodes (n,), mass (n,) [kg] and compliance, three times (n,) [1/kg].
+        wall: Contact triangles, as in `Nodes` (n,); 0 where nodes are clamped.
+        velocity_step: Time step of the velocity update [s].
         carrier: The tool's velocity, three numbers, or three times (n,) [m/s].
     """
     stuck, mass, compliance = nodes
@@ -102,7 +113,7 @@ def apply_tool_velocity(
     for own, mobile, before, after, speed in zip(nodal, compliance, *velocities, carrier, strict=True):
         moves = held & (mobile > 0.0)
         new.append(jnp.where(moves, speed, after))
-        work += jnp.where(moves, 0.5 * (mass * (speed - before) - kick * own) * (speed + before), 0.0)
+        work += jnp.where(moves, 0.5 * (mass * (speed - before) - velocity_step * own) * (speed + before), 0.0)
     return vector(new), held, work
 
 
@@ -162,7 +173,7 @@ def synchronize_velocity(
 ) -> State:
     """The state with velocities at the time of the positions, and its account closed.
 
-    Where the forces are about to jump, the next kick must not have the new ones act since half a step ago.
+    Before forces jump, so that the next velocity update does not apply the new ones over the half step before.
 
     Args:
         state: In the mesh's order.
