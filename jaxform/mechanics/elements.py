@@ -1,4 +1,4 @@
-"""Elements as loops over blocks have them, their corners' shares summed at nodes, and the nodal fields of a run."""
+"""Elements for loops over blocks, sums of their corner forces at nodes, and the nodal fields of a run."""
 
 from __future__ import annotations
 
@@ -200,14 +200,14 @@ def combine_pairs(corners: Sequence[Vector], block: ElementBlock) -> list[Any]:
 def element_metrics(positions: jax.Array, elements: Elements) -> tuple[Metric, Metric]:
     """Present metric and inverse of the initial one of all elements (capacity,), of nodes at positions (3, place).
 
-    Those that are not in use are as if not strained, so that nothing of them spoils a derivative.
+    Unused elements have the metrics of unstrained ones, so that derivatives stay finite.
     """
     _, edge1, edge2 = edges(positions, elements.triangles)
     return masked_metrics(elements.area > 0.0, metric(edge1, edge2), elements.inverse_metric)
 
 
 def masked_metrics(there: jax.Array, g: Metric, inverse: jax.Array) -> tuple[Metric, Metric]:
-    """Present metric and inverse of the initial one of the elements (n,) that are there; others as if not strained."""
+    """Present metric and inverse of the initial one of the elements (n,) that exist; the others are unstrained."""
 
     def safe(g: Metric | jax.Array) -> Metric:
         a, b, c = (jnp.where(there, part, unit) for part, unit in zip(g, (1.0, 0.0, 1.0), strict=True))
@@ -217,7 +217,7 @@ def masked_metrics(there: jax.Array, g: Metric, inverse: jax.Array) -> tuple[Met
 
 
 def element_normals(sides: EdgeVectors, block: ElementBlock) -> Vector:
-    """Twice the current area long (n,), and nothing where the place is not in use; kept for all its uses."""
+    """Normals (n,) of twice the elements' present area [m^2], 0 at unused places; materialized for all their uses."""
     _, edge1, edge2 = sides
     normal = cross(edge1, edge2)
     if block.orientation is not None:
@@ -226,7 +226,7 @@ def element_normals(sides: EdgeVectors, block: ElementBlock) -> Vector:
 
 
 def orient(v: Vector, block: ElementBlock) -> Vector:
-    """A change (n,) of what `element_normals` makes the normal of; unused places are masked elsewhere."""
+    """A change (n,) of the cross product of an element's sides, oriented as its normal; unused places included."""
     return v if block.orientation is None else vector(block.orientation * x for x in v)
 
 

@@ -43,20 +43,20 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
     """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
 
     Differentiate through `replace`: first derivatives in either mode, second ones forward over either
-    (`jax.hessian`). Where a number that was traced is out of its range nothing is simulated: the result has the sheet
-    where it was at first and NaN for its walls, stretches, volumes and mass, so that a line search backs off; its
-    status has the bit `Status.INPUT`.
+    (`jax.hessian`). Where a traced parameter is out of its range nothing is simulated: the result has the initial shape
+    of the sheet, NaN for its thickness, stretches, volumes and mass, so that a line search backs off, and the status
+    bit `Status.INPUT`.
 
     Args:
         scene: The scene.
-        schedule: The decisions of an earlier run, from its result: taken as they are, the result is a smooth function
-            of the design as far as contact is. Without it every run decides for itself.
+        schedule: The decisions of an earlier run, from its result. The run then makes the same decisions, and its
+            result is a smooth function of the design where contact is. Without a schedule every run makes its own.
         adjoint: Strategy of the reverse derivative (`Reversed`, `Checkpointed`, `Stored`); by default the fastest
             that the scene allows.
 
     Raises:
-        InputError: The scene has a part that the chosen adjoint cannot go back over, a derivative is asked for with
-            respect to the end time, or something is not a scene or no schedule.
+        InputError: The chosen adjoint does not support the scene, a derivative with respect to the end time is asked
+            for, or an argument is not a scene or not a schedule.
     """
     check_scene(scene)
     if schedule is not None and not isinstance(schedule, Schedule):

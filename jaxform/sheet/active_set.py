@@ -1,7 +1,6 @@
-"""The active set: what can still move, in packed order, and the stress relaxation of what cannot.
+"""The active set: elements and nodes that can still move, in packed order; and stress relaxation in the others.
 
-A run's state stays in this order from window to window; what does not move any more is neither looked up nor summed
-over again.
+A run's state stays in this order from window to window. Elements that cannot move any more are not computed again.
 """
 
 from __future__ import annotations
@@ -32,16 +31,16 @@ from jaxform.sheet.state import PackedState, State, can_move, immobile_nodes
 
 @pytree
 class InactiveElements:
-    """Elements that do not move from some time on; their strain is what it was.
+    """Elements whose strain is constant since they became inactive, in arrays of a fixed size.
 
     Attributes:
-        element: Their numbers (room,), and others that do not count.
-        counted: Whether each counts (room,).
-        stress: Of their modes (4 n_mode, room).
-        strained: How they are strained, (room,) each.
-        volume: (room,) [m^3].
-        since: The time [s].
-        modes: The modes.
+        element: Their numbers (room,).
+        counted: True at places with an inactive element (room,).
+        stress: Stress of their Prony terms (4 n_mode, room).
+        strained: Their strain, (room,) each.
+        volume: Their volume (room,) [m^3].
+        since: Time of this stress [s].
+        modes: The Prony terms.
     """
 
     element: jax.Array
@@ -93,12 +92,12 @@ def inactive_elements(
 
 @pytree
 class Workspace:
-    """Arrays that are written before they are read: kept from window to window, they need not be cleared.
+    """Workspace arrays that are reused from window to window; they are written before they are read.
 
     Attributes:
-        corners: For corner forces.
-        basis: For the search for the stable step; None where it is not made.
-        lists: For what is near each surface; None where there is none.
+        corners: Corner forces.
+        basis: Lanczos vectors of the search for the stable step; None where the step is bounded by elements alone.
+        lists: Candidate lists of each surface; None without surfaces.
     """
 
     corners: Corners
@@ -108,21 +107,21 @@ class Workspace:
 
 @pytree
 class ActiveSet:
-    """The elements and nodes that are active, and what the others come to, which do not move.
+    """The active elements and nodes, and the totals of the inactive ones, which do not move.
 
     Attributes:
-        packed: Their order.
+        packed: Order of the active elements and nodes.
         thickness: Initial thickness of the elements (room,) [m].
-        zones: Numbers of the law that vary over the sheet, of the elements (..., room), by name.
-        modes: Viscous modes of the elements (n_mode, room); None where they do not vary.
-        bound: Largest eigenvalue of their shape gradients (room,) [1/m^2].
+        zones: Material parameters that vary over the sheet, of the elements (..., room), by name.
+        modes: Prony terms of the elements (n_mode, room); None where they do not vary.
+        bound: Largest eigenvalue of the elements' shape gradients (room,) [1/m^2].
         mass: Lumped mass of the nodes (place,) [kg].
         compliance: Mobility over mass (3, place) [1/kg].
-        substance: Volume of the elements themselves [m^3].
-        idle_volume: Enclosed by what is not active [m^3].
-        idle_energy: Its strain energy [J].
-        memory: As in `State`, when it was packed; None without viscous modes.
-        idle: Elements that are not active and have such modes; None where none are.
+        substance: Material volume of the active elements [m^3].
+        idle_volume: Volume enclosed by the inactive elements [m^3].
+        idle_energy: Strain energy of the inactive elements [J].
+        memory: Stress of the Prony terms of all elements at the time of packing; None without Prony terms.
+        idle: Inactive elements with Prony terms; None where there are none.
         workspace: Arrays reused from window to window; None where each window allocates its own.
         heat: How far all elements had cooled when they were packed, as in `State`; None where they do not.
         initial: Of its elements the initial temperature (room,) [degC], and the zones without time-temperature shift;
@@ -197,11 +196,11 @@ class ActiveSet:
         return Response(material.elastic.with_zones(self.zones), memory)
 
     def viscous(self, material: Law) -> Modes | None:
-        """The viscous modes of its elements, of a scene with this law."""
+        """The Prony terms of the active elements, for a scene with this material model."""
         return self.modes or material.viscous
 
     def law(self, material: Law) -> Law:
-        """The law of its elements, of a scene with this one."""
+        """The material model of the active elements, for a scene with this one."""
         return element_law(material, self.zones, self.modes)
 
 
@@ -222,7 +221,7 @@ def active_set_of(state: State, scene: Scene, discrete: Discretization, *, diffe
 
 
 def whole_set(state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
-    """All there is, in the mesh's own order."""
+    """The active set of all elements and nodes, in the mesh's order."""
     none, whole = jnp.zeros((), discrete.mass.dtype), discrete.whole
     now = discrete.with_zones(state.heat, scene.material)
     return _add_cooling(_add_memory(_add_masses(whole, now, none, none), state, scene, now), state, discrete)
@@ -231,7 +230,7 @@ def whole_set(state: State, scene: Scene, discrete: Discretization) -> ActiveSet
 def repack(
     state: PackedState, scene: Scene, discrete: Discretization, active: ActiveSet, stale: jax.Array
 ) -> tuple[PackedState, ActiveSet]:
-    """The state, and what the next window works through: packed anew only where that is stale, or a block too long."""
+    """The state and the active set of the next window, packed again where the set is stale or a block too long."""
     if not scene.packs_moving and state.mesh is None:
         return state, active
     elements, immobile = active.packed.elements, immobile_nodes(state, scene)
@@ -265,7 +264,7 @@ def inactive_volume(positions: jax.Array, scene: Scene, discrete: Discretization
 def _inactive_totals(
     state: State, scene: Scene, discrete: Discretization, packed: Packed
 ) -> tuple[jax.Array, jax.Array]:
-    """Its strain energy [J] and the volume [m^3], not differentiable."""
+    """Strain energy [J] and enclosed volume [m^3] of the inactive elements, not differentiable."""
     positions = state.nodes.positions
     if not scene.packs_moving:
         return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
@@ -287,7 +286,7 @@ def totals_of(
 def _attach_derivative(
     volume: jax.Array, positions: jax.Array, sheet: ReferenceGeometry, counted: jax.Array
 ) -> jax.Array:
-    """A volume [m^3] that is known already, with the forward derivative that it has."""
+    """The given volume [m^3], with the forward derivative of the volume of the counted elements."""
     return volume
 
 

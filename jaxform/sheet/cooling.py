@@ -1,7 +1,7 @@
-"""Cooling at the borders of windows: temperatures as they are by then, and what that makes of the law.
+"""Cooling at window boundaries: the temperatures of the elements, and the material parameters at these.
 
-Temperatures are brought up to date at a window's begin, each element by itself and exactly for the wall that it has
-then. Inside a window the law is that of the temperature in its middle.
+Temperatures are updated at a window's begin, element by element and exactly for the present thickness. Inside a window
+the material parameters are those of the temperature in its middle.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from jaxform.sheet.state import PackedState, can_move
 def cool_state(
     state: PackedState, scene: Scene, active: ActiveSet, *, differentiable: bool
 ) -> tuple[PackedState, ActiveSet]:
-    """A state at a window's border, and what is active, with the temperatures of now."""
+    """The state at a window boundary and the active set, with the present temperatures."""
     cooling, heat, begun, elements = scene.cooling, state.heat, active.initial, active.packed.elements
     if cooling is None or heat is None or begun is None:
         return state, active
@@ -47,7 +47,7 @@ def cool_state(
         density, wall = first_zones.get("density", law.density), thickness / jnp.sqrt(determinant)
         change = temperature_change(before, cooling, first, wall, share, density, time)
         share = tool_contact(scene, nodes, triangles, now, time)
-        # As if the window were as long as the last one. One that is retried begins as it did.
+        # The window is taken to be as long as the last one; a retried window begins as it did before.
         middle = time + 0.5 * jnp.minimum(time - before.time, longest)
         felt = temperature_change(ThermalState(change, now, change), cooling, first, wall, share, density, middle)
         due = there & (time > before.time)

@@ -1,4 +1,4 @@
-"""The discretization of the sheet: elements, masses, and which triangles of the forest there are."""
+"""The discretization of the sheet: elements, masses, and the present triangles of the forest."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class RefinedMesh:
     """The triangles of the forest that are in use, in lists that grow with each bisection.
 
     Attributes:
-        split_at: The window (n_triangle,) at whose border each triangle was bisected; NEVER where it was not.
+        split_at: Window at whose begin each triangle was bisected (n_triangle,); NEVER for the others.
         element: The triangles in use (element_room,), then others.
         element_count: How many are in use.
         node: The node at each place (node_room,), in the order in which they came to be.
@@ -55,16 +55,16 @@ class RefinedMesh:
 
 
 def element_law(material: Law, zones: dict[str, jax.Array], modes: Modes | None) -> Law:
-    """The law of elements, with numbers that vary and, where they do, viscous modes."""
+    """The material model of elements, with their varying parameters and, where given, Prony terms."""
     made = material.with_zones(zones)
     return made if modes is None else dataclasses.replace(made, viscous=modes)
 
 
 @pytree
 class Discretization:
-    """The discretization of the sheet: without refinement the same over a run, with it until elements are added.
+    """The discretization of the sheet: constant over a run without refinement, else until elements are added.
 
-    What is not in use has the area 0.
+    Unused elements have the area 0.
 
     Attributes:
         sheet: Initial geometry of the elements.
@@ -77,7 +77,7 @@ class Discretization:
         whole: All elements and nodes, packed.
         volumes: Of all triangles of the forest (n_triangle,) [m^3]; None without one.
         forest_zones: Numbers of the material that vary, of all triangles of the forest.
-        forest_temperature: Of these triangles (n_triangle,) [degC], at first; None where nothing asks for it.
+        forest_temperature: Initial temperature of these triangles (n_triangle,) [degC]; None where it has no effect.
         modes: Viscous modes, of each element (n_mode, n_element); None where they do not vary.
         temperature: Of the elements (n_element,) [degC], at first, where the sheet cools: zones and modes are then
             those at the law's reference. None where it does not.
@@ -121,7 +121,7 @@ class Discretization:
 
 
 def discretize(scene: Scene) -> Discretization:
-    """The sheet of a scene; of a refined one as it is at first."""
+    """The initial discretization of a scene's sheet."""
     tables = scene.tables
     if scene.adaptivity is not None:
         _, forest = scene.adaptivity
@@ -148,7 +148,14 @@ def discretize(scene: Scene) -> Discretization:
 def present_discretization(
     scene: Scene, mesh: RefinedMesh | None, first: Discretization, *, stepped: bool = False
 ) -> Discretization:
-    """The sheet as it is with a mesh, from what it was at first; with one, the whole may be stepped as it is."""
+    """The discretization with a refined mesh; without one, the initial discretization.
+
+    Args:
+        scene: The scene.
+        mesh: The refined mesh; None without refinement.
+        first: The initial discretization.
+        stepped: True if all elements together are advanced by steps, not an active set alone.
+    """
     if mesh is None or first.volumes is None or scene.adaptivity is None:
         return first
     _, forest = scene.adaptivity

@@ -16,13 +16,13 @@ from jaxform.model.scene import Scene
 class ThermalState:
     """Temperature change of elements (n,) by cooling.
 
-    An element whose nodes all stick keeps the law that it had then, since nothing depends on that any more; how far it
-    cools from then on is worked out when it is asked for.
+    An element whose nodes all stick keeps its material parameters, on which nothing depends any more; its further
+    cooling is computed on demand.
 
     Attributes:
-        change: Of the temperature since the run began [K].
-        time: Up to which it is worked out [s].
-        felt: The change that the law is worked out for [K]: that in the middle of a window.
+        change: Change of the temperature since the run began [K].
+        time: Time up to which it is computed [s].
+        felt: Change of the temperature in the middle of the window, for the material parameters [K].
     """
 
     change: jax.Array
@@ -53,9 +53,9 @@ def at_temperature(
 
 
 def tool_contact(scene: Scene, nodes: Nodes, triangles: jax.Array, begin: jax.Array, end: jax.Array) -> Touching:
-    """Share (n,) of elements' area and of the time from `begin` (n,) to `end` [s] that touched the mold, or each tool.
+    """Share (n,) of elements' area and of the time from `begin` (n,) to `end` [s] in contact with mold or each tool.
 
-    Where that is no time, what touches it now.
+    Where `begin` is `end`, it is the share of the area in contact at that time.
     """
     warmth = scene.tool_warmth
     if warmth is None:

@@ -295,9 +295,9 @@ def add_by_tool(
 def _synchronize_slip(
     packed: PackedState, scene: Scene, active: ActiveSet, nodal: Any, free: Any
 ) -> tuple[membrane.Vector, ContactLosses, jax.Array]:
-    """The velocities, where those as if nothing were touched are free; the losses of nodes that lie on tools; which do.
+    """The velocities with contact, from the `free` ones without; the losses of nodes on tools; True for these (n,).
 
-    They are held by the tools in this half step, too, but do not move.
+    The tools act on the nodes in this half step, too, but the nodes do not move.
     """
     own, half = packed.nodes, 0.5 * packed.control.step_length
     lies = lying_nodes(own.stuck, own.wall)

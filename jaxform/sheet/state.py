@@ -1,4 +1,4 @@
-"""The state of a simulation, and what can be said of it: energies, volume, whether it is finished."""
+"""The state of a simulation, its schedule and energy account, and when it is finished."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Status(enum.IntFlag):
         STOPPED: Stopped by the caller of `run`.
         REFINEMENT_OVERFLOW: Refinement asked for more elements or nodes than there is room for.
         RUNAWAY: The sheet is ten thousand times as large as it was.
-        UNBALANCED: The end was reached, but the account of energy misses more than 1 % of the work.
+        UNBALANCED: The end was reached, but the energy balance misses more than 1 % of the work.
         INPUT: A number that was traced is out of its range. Nothing was simulated, and all walls are NaN.
         ESCAPED: The sheet left its mold.
         BURST: The sheet passed through itself; found by the host's loop, `run`, alone.
@@ -96,18 +96,18 @@ class EnergyBalance:
         volume: Enclosed before the last step [m^3].
         load_state: State of the loading before the last step; None where the pressure depends on the time alone.
         external_work: Of the pressure: its forces times the nodes' displacements.
-        damping_loss, contact_loss: Taken by damping, and by the mold.
+        damping_loss, contact_loss: Dissipated by damping, and by impacts on the mold.
         refinement_loss: Strain and kinetic energy that new nodes took away.
         peak_work: Largest magnitude of the external work.
         kinetic_peak: Largest kinetic energy at the end of a window.
-        kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end.
+        kinetic_excess: Kinetic energy half a step before the last window's end, less that at its end.
         imbalance: Energy held and lost beyond the external work, at the last window's end.
-        viscous_loss: Taken by viscous modes; None where there are none.
+        viscous_loss: Dissipated by the Prony terms; None without Prony terms.
         cooling_loss: Strain energy lost as the temperature softened the sheet, less what it won as it stiffened;
             None where neither happens.
         tool_work: Done by the mold on what it holds, up to the last force; None where it rests.
-        tool_last: What the force of now adds to that, at the last window's end; None where it rests.
-        friction_loss: Taken by friction; None where nodes stick to all tools.
+        tool_last: Contribution of the present force to that, at the last window's end; None where it rests.
+        friction_loss: Dissipated by friction; None where nodes stick to all tools.
         rim: Volume that moving rims swept since the last step's begin [m^3]; None where there are none.
         gravity_work: Done by gravity on the nodes; None where none acts.
         pre_stretch_work: Strain energy of the pre-stretched sheet when the run begins; None where it has no stress.
@@ -210,7 +210,7 @@ class State:
         control: How long its steps and windows are.
         replay: Where it is in a schedule.
         mesh: Which triangles of the forest there are; None without refinement.
-        memory: The stress of viscous modes now (4 n_mode, n_element), as `materials.viscous` has it; None without.
+        memory: Stress of the Prony terms (4 n_mode, n_element), as in `materials.viscous`; None without Prony terms.
         time: [s].
         steps, windows, shortened: Steps and windows taken; windows that were rejected and retried.
         status: Bits of `Status`.
