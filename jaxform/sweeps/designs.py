@@ -154,6 +154,11 @@ def parse_path(path: str) -> list[Step]:
     return steps
 
 
+_NO_LIST = "is not a list in the scene"
+_NO_TABLE = "does not belong to a table of the scene"
+_NO_TOOL = "is not a tool of the scene"
+
+
 def set_value(data: dict[str, Any], path: str, value: Any) -> None:
     """Puts a value at a path of the tables of a scene file; tables that are missing are made.
 
@@ -169,22 +174,20 @@ def set_value(data: dict[str, Any], path: str, value: Any) -> None:
             step = _tool_number(tables, step, path)
         if isinstance(step, int):
             if not isinstance(place, list):
-                raise InputError("is not a list in the scene", "name the key alone, or write a list there", path)
+                raise InputError(_NO_LIST, "name the key alone, or write a list there", path)
             if not -len(place) <= step < len(place):
                 problem = f"is not there: the scene's list has {len(place)} elements"
                 raise InputError(problem, "count from 0, or -1 for the last", path)
         elif not isinstance(place, dict):
-            raise InputError(
-                "does not belong to a table of the scene", "name the key alone, or write a table there", path
-            )
+            raise InputError(_NO_TABLE, "name the key alone, or write a table there", path)
         entries: Any = place  # a table or a list
         if following is None:
             entries[step] = value
         elif isinstance(place, dict):
             if step == "tool" and step not in place:
-                raise InputError("is not a tool of the scene, which has none", "add it to the scene as [[tool]]", path)
+                raise InputError(f"{_NO_TOOL}, which has none", "add it to the scene as [[tool]]", path)
             if isinstance(following, int) and step not in place:
-                raise InputError("is not a list in the scene", "name the key alone, or write a list there", path)
+                raise InputError(_NO_LIST, "name the key alone, or write a list there", path)
             place = place.setdefault(step, {})
         else:
             place = entries[step]
@@ -204,7 +207,7 @@ def _tool_number(tables: list[Any], name: str, path: str) -> int:
     number = schema.find_tool(tables, name)
     if number is None:
         known = [schema.tool_name(table, k) for k, table in enumerate(tables, 1)]
-        raise InputError("is not a tool of the scene", f"its tools are {', '.join(known) or 'none'}", path)
+        raise InputError(_NO_TOOL, f"its tools are {', '.join(known) or 'none'}", path)
     return number
 
 
@@ -303,7 +306,7 @@ def _refuse(table: Rows, errors: list[InputError]) -> None:
     key = re.sub(r"\[-?\d+\]", "", first.key)
     in_column = any(key == path or key.startswith(f"{path}.") or path.startswith(f"{key}.") for path in columns)
     same = all((error.key, error.problem) == (first.key, first.problem) for error in errors)
-    misnamed = first.problem == NO_KEY or first.problem.startswith(("is no list", "is in no table", "is no tool"))
+    misnamed = first.problem == NO_KEY or first.problem.startswith((_NO_LIST, _NO_TABLE, _NO_TOOL))
     if not same or (in_column and not misnamed):
         return
     raise dataclasses.replace(first, file=table.file) if in_column else first
