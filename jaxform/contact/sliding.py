@@ -79,10 +79,17 @@ def split_by_tool(values: jax.Array | float, tool: jax.Array | None, numbers: tu
     return [jnp.where(tool == number, values, 0.0) for number in numbers]
 
 
-class Slid(NamedTuple):
-    """The nodes (n,) after the step: positions [m], velocities [m/s], `wall`, the losses, and how far they slid [m].
+class SlideResult(NamedTuple):
+    """Nodes (n,) after a step in which they may have slid.
 
-    Also whether they left the surface, and whether that was over a ridge or a rim: such nodes moved along it so far.
+    Attributes:
+        positions: Positions [m].
+        velocities: Velocities [m/s].
+        wall: Contact triangles, as in `Nodes`.
+        left: True where a node left the surface.
+        over: True where it left the surface over a ridge or a rim, up to which it slid.
+        losses: Energies of the step.
+        distance: Slip distance in the step [m].
     """
 
     positions: Vector
@@ -112,23 +119,23 @@ def slide_nodes(
     damping: jax.Array | None,
     *,
     differentiable: bool,
-) -> Slid:
-    """Takes the nodes that lie on a tool over a step; the others are as they would be without contact.
+) -> SlideResult:
+    """The nodes after a step in which those that lie on a tool slide; the others move without contact.
 
-    The tool pushes a node with what keeps it from moving into the tool; where it would have to pull, the node leaves.
-    By the push the contact law limits the slip, and with that the node moves along the surface.
+    The normal force is the one that keeps a node from moving into the tool; where it would have to pull, the node
+    leaves. From it the contact law gives the friction, and the node moves along the surface with the remaining slip.
 
     Args:
         nodes: The nodes.
-        steps: The step that the velocity takes, and the step [s].
+        steps: Time step of the velocity update, and the step length [s].
         surfaces: The surfaces, in the order of `Scene.surfaces`.
-        frames: Their frames in the step; None of those at rest.
+        frames: Their frames in the step; None for surfaces at rest.
         damping: Mass-proportional damping [1/s].
-        differentiable: Whether loops have a fixed number of passes.
+        differentiable: True if loops have a fixed number of passes, so that JAX can differentiate them.
     """
     moved = vector(x + steps[1] * v for x, v in zip(nodes.positions, nodes.free, strict=True))
     none = jnp.zeros_like(nodes.mass)
-    found = Slid(
+    found = SlideResult(
         moved,
         nodes.free,
         nodes.wall,
@@ -155,7 +162,7 @@ def _slide_on(
     damping: jax.Array | None,
     *,
     differentiable: bool,
-) -> Slid:
+) -> SlideResult:
     """The nodes after the step, of which those that are `here` (n,) lie on this surface."""
     velocity_step, length = steps
     surface = surface.at(nodes.temperature)
@@ -202,7 +209,7 @@ def _slide_on(
     # The forces' work on the way that was not straight, beyond that at the velocities.
     means = (0.5 * length * (v + w) for v, w in zip(on_tool, velocities, strict=True))
     bent = dot(nodes.nodal, minus(minus(positions, nodes.positions), vector(means)))
-    return Slid(
+    return SlideResult(
         positions,
         velocities,
         jnp.where(leaves | end.off, 0, end.side * (end.triangle + 1)),

@@ -53,13 +53,18 @@ def _paths_meet(
 
 
 class Landing(NamedTuple):
-    """The nodes after contact.
+    """Nodes after contact, and the energies of their impacts.
 
-    Also the number of the step in which each came into contact (n_node,), and the kinetic energy lost so far [J]. Where
-    it is kept, the impact (6, n_node): the position [m] of each such node before that step, and its velocity [m/s].
-    Where a tool moves, the work that it did on nodes as they came into contact [J]. Where it is recorded, what nodes
-    land on in each step (n_step, n_node): as `encode_landing` has it, -1 for none. Where several tools move, the work
-    of each.
+    Attributes:
+        nodes: Nodal fields.
+        step: Step in which each node came into contact (n_node,).
+        loss: Kinetic energy lost by impacts so far [J].
+        impact: Position [m] before that step, and velocity [m/s], of nodes that landed (6, n_node); None where they are
+            not recorded.
+        work: Work of moving tools on nodes that came into contact [J]; None where all tools rest.
+        record: Triangle on which each node landed in each step (n_step, n_node), as in `encode_landing`; -1 for none.
+            None where it is not recorded.
+        works: Work of each moving tool, where there are several [J].
     """
 
     nodes: Nodes
@@ -72,7 +77,7 @@ class Landing(NamedTuple):
 
 
 class ContactStep(NamedTuple):
-    """One step: its length [s], the time at its end [s], its number in the window, and the frames of the surfaces."""
+    """A step: its length [s], the time at its end [s], its number in the window, and the frames of the surfaces."""
 
     length: jax.Array
     end: jax.Array
@@ -90,19 +95,19 @@ def apply_contact(
     known: Sequence[jax.Array],
     room: FirstHits,
 ) -> tuple[Landing, FirstHits]:
-    """Puts the nodes that crossed a surface in this step where they met it. Not differentiable.
+    """Moves the nodes that crossed a surface in this step to where they met it; not differentiable.
 
     Args:
-        landing: The state after the step as if nothing were touched; `loss` is the kinetic energy lost so far [J].
+        landing: The nodes after the step without contact; `loss` is the kinetic energy lost so far [J].
         now: The step. The positions before it follow from the velocities and its length, so that they need not be
             copied.
-        due: Of each surface, the blocks of its list with nodes that can touch in this step.
+        due: Blocks of the list of each surface with nodes that can touch it in this step.
         mass: Nodal masses (n_node,) [kg], and compliances (3, n_node) [1/kg] where nodes may slide or a tool
             moves.
-        candidates: Of each surface, its list.
+        candidates: Candidates of each surface.
         surfaces: The surfaces.
-        known: Of each surface, `touches_already`.
-        room: Workspace for the nodes' hits, from `no_hits`. It is returned as it was.
+        known: Nodes in contact with each surface, from `touches_already`.
+        room: Workspace for the first hits, from `no_hits`. It is returned unchanged.
     """
     count = sum(count for _, count in due)
     return lax_cond_once(
@@ -119,13 +124,13 @@ def apply_known_contact(
     mass: tuple[jax.Array, jax.Array | None],
     surfaces: tuple[ContactSurface, ...],
 ) -> Landing:
-    """Puts nodes where each lands in this step, as `place_on_surfaces` has it; differentiable."""
+    """Moves nodes to where each lands on its chosen triangle in this step, by `place_on_surfaces`; differentiable."""
 
-    def pull(landing: Landing, now: ContactStep, mass: tuple[jax.Array, jax.Array | None], surfaces: Any) -> Landing:
+    def place(landing: Landing, now: ContactStep, mass: tuple[jax.Array, jax.Array | None], surfaces: Any) -> Landing:
         return place_on_surfaces(landing, now, mass, surfaces, chosen, differentiable=True)
 
     any_lands = jnp.any(chosen >= 0)
-    return jax.lax.cond(any_lands, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, surfaces)
+    return jax.lax.cond(any_lands, jax.checkpoint(place), lambda landing, *_: landing, landing, now, mass, surfaces)
 
 
 def first_numbers(surfaces: tuple[ContactSurface, ...]) -> list[int]:

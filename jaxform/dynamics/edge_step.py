@@ -1,4 +1,4 @@
-"""Sides at sharp edges of tools in the steps of a window: held, searched for, or known from a search."""
+"""Element sides at sharp edges of tools in the steps of a window: constraints, search, and replay of known ones."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Frames = tuple[ToolFrame | None, ...]
 
 
 def first_edges(scene: Scene) -> list[int]:
-    """The number of each surface's first sharp edge, counted over all surfaces, and how many there are."""
+    """The number of each surface's first sharp edge, counted over all surfaces; the total comes last."""
     firsts = [0]
     for edges in scene.tables.edges:
         firsts.append(firsts[-1] + edges.shape[1])
@@ -99,7 +99,7 @@ def hold_sides_at_edges(
 
 
 def _tools_of_edges(edge: jax.Array, scene: Scene) -> jax.Array:
-    """The numbers of the tools (room,), as in `Scene.surfaces`, that edges of these numbers are of."""
+    """The numbers of the tools (room,), as in `Scene.surfaces`, to which these edges belong."""
     tool = jnp.zeros_like(edge)
     for first in first_edges(scene)[1:-1]:
         tool = tool + (edge >= first)
@@ -125,7 +125,7 @@ def search_sides(
     data: WindowData,
     frames: Frames,
 ) -> WindowState:
-    """The state after a step, with the sides that are held from now on; `moved` is that before nodes landed."""
+    """The window state with the sides that meet an edge in this step; `moved` is the one before nodes landed."""
     held, stale = landed.held, landed.stale
     assert held is not None and stale is not None
     firsts, number = first_edges(scene), moved.count - 1
@@ -143,7 +143,7 @@ def search_sides(
 def replay_sides(
     moved: WindowState, landed: WindowState, length: jax.Array, known: KnownSides, scene: Scene, frames: Frames
 ) -> WindowState:
-    """The state after a step, with the known sides that are held from now on; differentiable."""
+    """The window state with the known sides that meet an edge in this step; differentiable."""
     held = landed.held
     assert held is not None
     firsts, number = first_edges(scene), jnp.where(moved.halted, -2, moved.count - 1)

@@ -200,7 +200,7 @@ def _advance_fields(
     return dataclasses.replace(moved, fields=kept)
 
 
-class _SlidContact(NamedTuple):
+class _SlideContact(NamedTuple):
     """Contact of nodes (n,) after a step in which they may have slid.
 
     Attributes:
@@ -242,7 +242,7 @@ class _AdvancedNodes(NamedTuple):
     work: jax.Array | float = 0.0
     friction: jax.Array | float = 0.0
     impact: jax.Array | float = 0.0
-    slid: _SlidContact | None = None
+    slid: _SlideContact | None = None
     by_tool: ToolEnergies = ToolEnergies()
 
 
@@ -300,7 +300,7 @@ def _advance_nodes(
         friction=total(lost.friction),
         impact=total(lost.impact),
         by_tool=add_by_tool(by_tool, scene, own.tool, lost.work, lost.friction),
-        slid=_SlidContact(
+        slid=_SlideContact(
             slid.wall,
             jnp.where(slid.left, -1.0, own.contact_time),
             own.slip + jnp.where(lies, slid.distance, 0.0),
@@ -398,7 +398,7 @@ def _advance_nodes_in_blocks(
     if not slides:
         return taken
     friction, impact, walking = sums[-3:]
-    contact = _SlidContact(own.wall, own.contact_time, new[4][0], jnp.zeros_like(own.stuck), moving.facets)
+    contact = _SlideContact(own.wall, own.contact_time, new[4][0], jnp.zeros_like(own.stuck), moving.facets)
     taken = taken._replace(friction=friction, impact=impact, slid=contact)
     return _walk_nodes(taken, moving, new[5][0], walking > 0.0, (velocity_step, length), scene, data, frames)
 
@@ -416,7 +416,7 @@ def _choose(chosen: jax.Array, new: membrane.Vector, old: membrane.Vector) -> me
 _LANES = 16  # nodes that are walked together
 
 
-_Walking = tuple[membrane.Vector, jax.Array, _SlidContact, ContactLosses, ToolEnergies]
+_Walking = tuple[membrane.Vector, jax.Array, _SlideContact, ContactLosses, ToolEnergies]
 """Data of nodes (n,) that a walk over facets changes.
 
 Positions, velocities, contact, the losses of all nodes so far, and the energies of each tool [J].
@@ -455,7 +455,7 @@ def _walk_nodes(
         time = jnp.where(slid.left, -1.0, touching.contact_time)
         far = touching.distance + jnp.where(lies, slid.distance, 0.0)
         known = find_facets(slid.wall, tool, lying.mobile, scene.surfaces)
-        contact = _SlidContact(slid.wall, time, far, slid.over, known)
+        contact = _SlideContact(slid.wall, time, far, slid.over, known)
         new = ContactLosses(*(jnp.where(lies, each, 0.0) for each in slid.losses))
         total = jax.tree.map(lambda before, each: before + jnp.sum(each), lost, new)
         by_tool = add_by_tool(by_tool, scene, tool, new.work, new.friction)

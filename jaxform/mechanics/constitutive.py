@@ -71,7 +71,7 @@ class Response(NamedTuple):
         """All of them, by name, in the order of the leaves of a load."""
         found = {name: getattr(self.material, name) for name in parameter_ranges(self.material)}
         if self.memory is not None:
-            found |= {"memory.rest": self.memory.history, "memory.gain": self.memory.gain}
+            found |= {"memory.history": self.memory.history, "memory.gain": self.memory.gain}
         return found
 
     @property
@@ -79,7 +79,7 @@ class Response(NamedTuple):
         """Those that vary."""
         found = self.material.zones
         if self.memory is not None:
-            found = found | {"memory.rest": self.memory.history}
+            found = found | {"memory.history": self.memory.history}
             found |= {"memory.gain": self.memory.gain} if self.memory.gain.ndim == 2 else {}
         return found
 
@@ -94,7 +94,7 @@ class Response(NamedTuple):
         of_law = {name: number for name, number in numbers.items() if not name.startswith("memory.")}
         memory = self.memory
         if memory is not None:
-            rest, gain = numbers.get("memory.rest", memory.history), numbers.get("memory.gain", memory.gain)
+            rest, gain = numbers.get("memory.history", memory.history), numbers.get("memory.gain", memory.gain)
             memory = ViscousMemory(rest, gain, memory.kind, memory.only_slope)
         return Response(self.material.with_zones(of_law), memory)
 
@@ -106,7 +106,7 @@ def weighted_stress(g: Metric, inverse: Any, weight: jax.Array, response: Respon
     return s if response.memory is None else plus(s, _scale(weight, overstress(g, inverse, response.memory).total))
 
 
-def materialized_stress(
+def materialize_stress(
     g: Metric, inverse: Any, weight: jax.Array, response: Response
 ) -> tuple[Metric, Overstress | None]:
     """The weighted stress, materialized for all its uses, and the overstress of the modes."""
@@ -166,7 +166,7 @@ class Overstress(NamedTuple):
     measure: Rows
     strained: StrainState
 
-    def updated_history(self, recursion: Recursion) -> Rows:
+    def advance_history(self, recursion: Recursion) -> Rows:
         """`ViscousMemory.history` (4 n_mode rows) for the next step, after a step with that recursion."""
         lefts, _, backs = recursion
         return [
@@ -242,7 +242,7 @@ def initial_overstress(modes: Modes, count: int) -> Overstress:
 def advance_memory(modes: Modes, past: Overstress, step: jax.Array) -> ViscousMemory:
     """The memory of Prony terms after a step [s] with the strain linear in time; a step of 0 is a jump."""
     recursion = modes.recursion(step)
-    return ViscousMemory(jnp.stack(past.updated_history(recursion)), recursion[1], modes.kind)
+    return ViscousMemory(jnp.stack(past.advance_history(recursion)), recursion[1], modes.kind)
 
 
 def principal_overstress(memory: ViscousMemory, one: jax.Array, two: jax.Array) -> Overstress:

@@ -1,7 +1,7 @@
-"""The forces of elements on their corners, and how these change with all that they depend on.
+"""The corner forces of the elements, their tangents, and the history of the Prony terms.
 
-All work through the elements in blocks and write what each corner gets; the nodes then gather it. The barriers keep XLA
-from recomputing the element for each of the nine components.
+All loop over blocks of elements and write the force of each corner; the nodes then sum them. The barriers keep XLA from
+recomputing an element for each of the nine components.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from jaxform.mechanics.constitutive import (
     Overstress,
     Response,
     ViscousMemory,
-    materialized_stress,
+    materialize_stress,
     overstress,
     stress_and_change,
     weighted_stress,
@@ -49,7 +49,7 @@ class Load(NamedTuple):
         thickness: Initial thickness (capacity,) [m].
         pressure: A number [Pa].
         material: The law with its parameters; those that vary over the sheet for each element (..., capacity).
-        memory: What elements remember, (..., capacity); None where the law has no Prony terms.
+        memory: History of the Prony terms (..., capacity); None without Prony terms.
     """
 
     positions: Any
@@ -101,16 +101,16 @@ def viscous_corner_forces(
     """`corner_forces` and the history of the elements after a step with that recursion, updated in place."""
     rows, response, memory = unstack_rows(load.positions), load.response, load.memory
     assert memory is not None
-    zones = {name: values for name, values in response.zones.items() if name != "memory.rest"}
+    zones = {name: values for name, values in response.zones.items() if name != "memory.history"}
 
     def work(old: Any, block: ElementBlock, thickness: jax.Array, zones: Any, varying: Any, block_modes: Any) -> Any:
         # As they are: put together, the rows would be copied.
-        present = response.with_numbers(zones | {"memory.rest": old[0]})
+        present = response.with_numbers(zones | {"memory.history": old[0]})
         corners, volume, found = _forces(rows, block, thickness, load.pressure, elements.origin, present)
         assert found is not None
         rate = (block_modes or modes).loss(found.modes, found.strained)
         lost = jnp.where(block.area > 0.0, block.area * thickness * rate, 0.0)
-        return [found.updated_history(_of_block(recursion, varying)), *combine_pairs(corners, block)], [volume, lost]
+        return [found.advance_history(_of_block(recursion, varying)), *combine_pairs(corners, block)], [volume, lost]
 
     inputs = element_block(elements), load.thickness, zones, _varying_factors(recursion), _per_element_modes(modes)
     (rest, *corners), (volume, loss) = over_blocks(
@@ -125,11 +125,11 @@ def update_history(load: Load, elements: Elements, modes: Modes, recursion: Recu
     found = overstress(*element_metrics(load.positions, elements), load.memory)
     rate = modes.loss(found.modes, found.strained)
     loss = jnp.where(elements.area > 0.0, elements.area * load.thickness * rate, 0.0)
-    return jnp.stack(found.updated_history(recursion)), jnp.sum(loss)
+    return jnp.stack(found.advance_history(recursion)), jnp.sum(loss)
 
 
 def present_mode_stress(load: Load, elements: Elements, modes: Modes, *, differentiable: bool) -> HistoryUpdate:
-    """The stress of the modes at these positions, in place of what is remembered, and the power that is lost."""
+    """The stress of the Prony terms at the present positions, and the dissipated power [W]."""
     assert load.memory is not None
     rows, memory = unstack_rows(load.positions), load.memory
 
@@ -185,7 +185,7 @@ def _forces(
     (sides,) = edge_vectors(block, rows)
     (first, edge1, edge2), normal = sides, element_normals(sides, block)
     g = metric(edge1, edge2)
-    s, found = materialized_stress(g, block.inverse_metric, block.area * thickness, response)
+    s, found = materialize_stress(g, block.inverse_metric, block.area * thickness, response)
     push = scale(pressure / 6.0, normal)
     pull2, pull3 = edge_forces(s, edge1, edge2)
     arm = minus(first, origin)

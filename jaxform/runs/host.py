@@ -27,7 +27,7 @@ from jaxform.results.part import has_burst, warnings_of_part
 from jaxform.results.result import UNBALANCED, Result, Seconds, make_result
 from jaxform.results.summary import add_filling, warnings_of
 from jaxform.results.tool_contact import contact_shares
-from jaxform.runs.padding import Padded, pad_to_bucket
+from jaxform.runs.padding import PaddedScene, pad_to_bucket
 from jaxform.sheet.active_set import ActiveSet, repack, whole_set
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
 from jaxform.sheet.energy_balance import energy_rounding
@@ -379,7 +379,7 @@ def programs(
     return beginning.result(), advancing.result(), ending
 
 
-def select_bucket(scene: Scene, store: Store) -> Padded:
+def select_bucket(scene: Scene, store: Store) -> PaddedScene:
     """The scene padded for a run: to its bucket sizes, or to larger ones where only their programs are compiled.
 
     A mesh that is not refined gives the same result at any capacity, its nodes to the last bit, sums to rounding.

@@ -76,7 +76,7 @@ def cache_by_identity[P, R, *Ts](make: Callable[[P, *Ts], R], part: P, *others: 
 _OF_WINDOWS = ("lengths", "counts", "bounds")
 
 
-class Padded(NamedTuple):
+class PaddedScene(NamedTuple):
     """A padded scene, and the original scene.
 
     Attributes:
@@ -155,7 +155,7 @@ def padded(scene: Scene) -> Scene:
         return placed(dataclasses.replace(pad_to_bucket(scene).scene, part=scene.part))
 
 
-def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
+def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> PaddedScene:
     """The padded scene, of which nothing is traced; a scene that is padded already is returned unchanged.
 
     Args:
@@ -164,7 +164,7 @@ def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Pa
         recorded: Whether its windows are only recorded, as by `run`, and no derivative is taken.
     """
     if scene.tables.counts is not None:
-        return Padded(scene, scene, None)
+        return PaddedScene(scene, scene, None)
     count, limits = len(scene.parison.triangles), scene.refinement
     tables, refinement, order = cache_by_identity(_pad_tables, scene.tables, count, limits, least, recorded)
     own = {
@@ -183,7 +183,7 @@ def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Pa
         name="",
         **jax.device_put(own),
     )
-    return Padded(whole, scene, order)
+    return PaddedScene(whole, scene, order)
 
 
 def _mold(mold: Mold) -> Mold:

@@ -1,7 +1,7 @@
 """Packing of the active set: elements and nodes in the order in which a window processes them.
 
 Elements whose nodes all stick, and nodes that belong to no other element, come last and are not active: the
-problem becomes "a smaller and smaller free inflation problem" (paper, 3.2). Nothing is compiled anew, since the number
+problem becomes "a smaller and smaller free inflation problem" (paper, 3.2). Nothing is compiled again, since the number
 of blocks in use is data.
 """
 
@@ -103,9 +103,9 @@ class Packed:
         node: The node at each place (place,); node 0 at the places beyond the nodes.
         place: The place of each node (n_node,).
         element: The element at each place of the list (room,).
-        exists: Whether there is a node at a place (place,).
-        kept: Elements (n_element,) that are in the list.
-        elements: What the force needs of them.
+        exists: True for places with a node (place,).
+        kept: True for elements in the list (n_element,).
+        elements: Data of the elements for the force.
     """
 
     node: jax.Array

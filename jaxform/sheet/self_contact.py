@@ -1,8 +1,8 @@
 """Contact of the sheet with itself at window boundaries: in a fold, two films that meet back to back stick.
 
 A sheet that is pushed over a convex corner has more width there than it needs: it folds, the pressure presses both
-flanks of the fold together, and hot films weld. In the trade this is a web. Without it the flanks pass through each
-other, and what is then inside out is blown up.
+flanks of the fold together, and hot films weld; thermoformers call it a web. Without self-contact the flanks pass
+through each other, and the pressure blows up the part that is then inside out.
 
 Nodes that are near a sharp fold are compared with all elements. One that is within a wall of the back of another film
 sticks where it is, as a node on the mold does. This spreads along the fold from boundary to boundary.
@@ -36,8 +36,8 @@ _BATCH = 16  # nodes that are compared with all elements at once
 def stick_folds(state: PackedState, scene: Scene, active: ActiveSet) -> PackedState:
     """The state at a window boundary, in which nodes stick that touch another film in a fold; differentiable.
 
-    A scene without `solver.self_contact` has none. While a tool moves, there are none: what sticks would have to choose
-    between it and the place.
+    Without `solver.self_contact` no node sticks, nor while a tool moves: a node between films and tool could not follow
+    both.
     """
     if not scene.solver.self_contact:
         return state

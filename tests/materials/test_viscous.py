@@ -128,7 +128,7 @@ def _dissipated_power(time: float, stretches: np.ndarray, step: float) -> tuple[
         memory = dataclasses.replace(constitutive.present_memory(rest, modes), gain=jnp.full(1, gain))
         found = constitutive.overstress(now.metric, UNIT, memory)
         strains.append(np.asarray(found.measure)[:, 0])
-        rest, gain = jnp.stack(found.updated_history(passed)), float(passed[1][0])
+        rest, gain = jnp.stack(found.advance_history(passed)), float(passed[1][0])
     return float(modes.limit_losses(real(step)).loss(found.modes, now)[0]), strains
 
 

@@ -155,7 +155,7 @@ class Case(NamedTuple):
 
     scene: jaxform.Scene
     ran: jaxform.Result
-    room: padding.Padded
+    room: padding.PaddedScene
     numbers: dict[str, jax.Array]
 
     def simulate(self, *, replayed: bool = True) -> tuple[tuple[jax.Array, jaxform.Result], dict[str, jax.Array]]:
@@ -177,7 +177,7 @@ def _case(name: str) -> Case:
     make, names = MAKE[name]
     scene = make()
     # In room two dozen runs with refinement and cooling take minutes.
-    room = padding.Padded(scene, scene, None) if name == "cooled" else padding.pad_to_bucket(scene)
+    room = padding.PaddedScene(scene, scene, None) if name == "cooled" else padding.pad_to_bucket(scene)
     return Case(scene, jaxform.run(scene), room, {path: number_at(room.scene, path) for path in names})
 
 
