@@ -3,7 +3,7 @@
 The limit of the central difference is 2 over the square root of the largest eigenvalue of the inverse mass times the
 tangent stiffness. Element by element it is bounded from below, by a half on the meshes of the built-in scenes; Lanczos'
 method with the force's own tangent measures it to a percent. The mode is kept from window to window, so that few
-products with the tangent do.
+products with the tangent suffice.
 """
 
 from __future__ import annotations
@@ -45,18 +45,19 @@ _MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness tha
 
 
 StepLimit = tuple[jax.Array | None, jax.Array, jax.Array, jax.Array]
-"""What is kept of the limit of the stable step for the next window: `mode`, `bound`, `sharpness` and `rung`."""
+"""Data of the stable step, kept for the next window: `mode`, as in `Nodes`, and `bound`, `sharpness`, `rung`, as in
+`Control`."""
 
 
 StepChoice = tuple[jax.Array, jax.Array, StepLimit, Workspace | None]
-"""The step of a window [s], how many there are at most, and what the next window needs to know of the limit.
+"""Step length of a window [s], largest number of steps, data of the stable step, and the workspace that was used.
 
-And the workspace that was written in; None where none is kept.
+The workspace is None where none is kept.
 """
 
 
 def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoice:
-    """The step of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
+    """The step of the next window: a value 2^(k/16) s, or one that divides the remaining time evenly.
 
     The state is in packed order.
     """
@@ -70,11 +71,11 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
     longest = (shorter + (1.0 - shorter) * damped) * longest
     end = next_stop(state, scene)
     for mold, grid, _ in scene.surfaces:
-        # No node passes more of the range of its list in one step than can be watched.
+        # In one step no node passes more of its list's range than the checks of the broad phase allow.
         range_per_step = RANGE_PER_STEP * grid.farthest
         speed = highest_speed(state.nodes.velocities, active.packed.elements.node_block_count)
         if mold.motion is not None:
-            # Up to where the tool becomes faster, and no further in this window.
+            # The window ends where the tool becomes faster.
             fastest, until = mold.motion.speed_from(state.time)
             speed, end = speed + fastest, jnp.minimum(end, until)
         longest = jnp.minimum(longest, range_per_step / jnp.maximum(speed, 1e-30))
@@ -129,7 +130,7 @@ def _swings_from_clamp(state: PackedState, scene: Scene) -> jax.Array | bool:
 def _share_rest(rest: jax.Array, step: jax.Array, most: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Step [s] and largest number of steps of a window where the last two share the rest of the time [s] evenly.
 
-    So neither has steps of quite another length, as what is left for the last alone would have.
+    Otherwise the steps of the last window alone would have quite another length.
     """
     left = jnp.ceil(rest / step - SLACK)
     shared = left < most + SHORT_WINDOW
@@ -164,7 +165,7 @@ def max_step_count(length: jax.Array, scene: Scene) -> jax.Array:
 
 
 def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, StepLimit, Workspace | None]:
-    """The longest stable step [s], how it was found, and the room that was written in.
+    """The longest stable step [s], its data for the next window, and the workspace that was used.
 
     How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
     begins with the last window's mode may miss another that has become the highest, and finds a step that is too long:
@@ -213,7 +214,7 @@ def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> j
 
     def work(own: tuple[jax.Array, ...], bound: jax.Array, zones: Any, memory: Any, modes: Any) -> Any:
         triangles, inverse, area = own
-        # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
+        # Where user-defined fields continue after all nodes stick, the steps keep their length.
         moving = can_move(immobile, triangles, area) if scene.rests else area > 0.0
         material = element_law(scene.material, zones, modes)
         return [], [constitutive.element_stiffness(rows, triangles, inverse, bound, moving, material, memory)]
@@ -275,8 +276,8 @@ def _highest_mode(
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array], tuple[Corners, jax.Array]]:
     """The mode (3, place), and its squared frequency [1/s^2] without the residual and with it, by Lanczos' method.
 
-    The residual makes up for what is missing: the frequency is approached from below. The room is for corners and
-    vectors, and is given back.
+    The method approaches the frequency from below, so the residual is added for an upper estimate. `room` has
+    workspaces for corner forces and Lanczos vectors, and is returned, too.
     """
     elements, places = active.packed.elements, active.mass.size
     compliance = jnp.where(state.nodes.stuck, 0.0, active.compliance)
@@ -305,7 +306,7 @@ def _highest_mode(
 
         inputs = gather_table(elements), active.mass, compliance, now.vector
         if falling is not None:
-            # The pressure that falls as all nodes move is one product more.
+            # The change of pressure with volume adds a product of rank one.
             inputs = *inputs, falling[0] * jnp.sum(falling[1] * now.vector) * falling[1]
 
         def multiply_block(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array, *more: Any) -> Any:
@@ -321,7 +322,7 @@ def _highest_mode(
         def orthogonalize(old: Any, mass: jax.Array, new: jax.Array) -> Any:
             unit = [scale * v for v in old[0]]
             vector = membrane.vector(x - rate * v - before * w for x, v, w in zip(new, unit, old[1], strict=True))
-            # Both are worked out before either is written (docs/explanation/kernels.md).
+            # Both are computed before either is written (docs/explanation/kernels.md).
             vector, unit = materialize((vector, unit))
             return [vector, unit, unit], [mass * membrane.dot(vector, vector)]
 

@@ -1,4 +1,4 @@
-"""Functions that bring a reverse derivative of their own; the forward one is JAX's.
+"""Functions with a hand-written reverse derivative; their forward derivative is JAX's.
 
 A `custom_vjp` would shut out forward mode, which least-squares columns need. The rule of a primitive is asked for
 both: where JAX looks for what is linear in unknown tangents, a reverse derivative is on its way, or `jax.linearize`
@@ -29,16 +29,16 @@ from jaxform.kernels.opaque_primitive import call_opaque, lower_without_axes, ma
 
 
 class Cotangents:
-    """Cotangents of some leaves of the arguments: those wanted, and those found so far.
+    """Collects the cotangents of the arguments that a reverse derivative asks for.
 
     Attributes:
-        of: The arguments' tree with the number of each leaf in its place.
-        wanted: Of each leaf, whether it is wanted.
-        found: Of each leaf, what was found; None where nothing was, which stands for zero.
+        of: The arguments' tree, whose leaves are their numbers.
+        wanted: True for leaves whose cotangent is asked for.
+        found: Cotangents of the leaves; None stands for zero.
     """
 
     def __init__(self, structure: Any, wanted: tuple[bool, ...]) -> None:
-        """Nothing is found yet of arguments of such a structure."""
+        """Creates an empty collection for arguments of this tree structure."""
         self.of = jax.tree.unflatten(structure, range(structure.num_leaves))
         self.wanted = wanted
         self.found: list[jax.Array | None] = [None] * len(wanted)
@@ -48,24 +48,24 @@ class Cotangents:
         return any(self.wanted[k] for k in jax.tree.leaves(part))
 
     def put(self, part: Any, values: Any) -> None:
-        """Cotangents for a part of `of`: a tree like it; those that are not wanted are left aside."""
+        """Stores the cotangents of a part of `of`, given as a tree like it; those not wanted are ignored."""
         for k, value in zip(jax.tree.leaves(part), jax.tree.leaves(values), strict=True):
             if self.wanted[k]:
                 self.found[k] = value
 
 
 class DerivativeRule(NamedTuple):
-    """A function with its own reverse derivative; called, it is that function.
+    """A function with a hand-written reverse derivative; calling the rule calls the function.
 
     Attributes:
-        value: From which of the arguments' leaves move, and the arguments: the result, and what the reverse derivative
-            keeps. Forward derivatives of it must be right as well: second ones are made of them.
-        plain: The result alone, by operations that JAX can differentiate.
-        pull: Takes what was kept, the `Cotangents` to be found, and the result's: its tree, with None for leaves that
-            carry no derivative.
-        like: From the arguments' shapes the result's.
-        smooth: Of the result's tree, whether each leaf carries a derivative.
-        lasting: Whether it is one of the few that last as long as the process: what is traced of them is kept.
+        value: Function of a mask of the differentiated leaves, and the arguments; returns the result and the residuals.
+            Its forward derivative must be right as well: second derivatives use it.
+        plain: Function of the arguments; returns the result alone, by operations that JAX can differentiate.
+        pull: Function of the residuals, the `Cotangents` to be filled, and the cotangents of the result: its tree, with
+            None for leaves without a derivative.
+        like: Function of the arguments' shapes; returns the shapes of the result.
+        smooth: Function of the result's tree; returns a mask of the leaves with a derivative.
+        lasting: True for rules that exist as long as the process, whose traces are cached.
     """
 
     value: Callable[..., tuple[Any, Any]]
@@ -83,7 +83,7 @@ class DerivativeRule(NamedTuple):
 
 
 def recompute(function: Callable[..., Any], like: Callable[..., Any], smooth: Callable[[Any], Any]) -> DerivativeRule:
-    """A rule that keeps nothing but the arguments; as `jax.checkpoint`, which no `DerivativeRule` within sees."""
+    """A rule that stores only the arguments, like `jax.checkpoint`, which has no effect on a `DerivativeRule`."""
 
     def value(_: tuple[bool, ...], *arguments: Any) -> tuple[Any, Any]:
         return function(*arguments), arguments
@@ -136,12 +136,12 @@ def as_single_operation(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def select(values: Iterable[Any], here: Sequence[bool]) -> list[Any]:
-    """The values at whose places it is true."""
+    """The values at the places where `here` is true."""
     return [value for value, is_here in zip(values, here, strict=True) if is_here]
 
 
 def merge(here: Sequence[bool], some: Iterable[Any], others: Iterable[Any] = itertools.repeat(None)) -> list[Any]:
-    """One after the other the next of `some` where it is here, else what is at its place in `others`."""
+    """A list with the next of `some` where `here` is true, and the entry of `others` at that place elsewhere."""
     new = iter(some)
     return [next(new) if is_here else other for is_here, other in zip(here, others, strict=False)]
 
@@ -151,7 +151,7 @@ def _shapes(tree: Any) -> Any:
 
 
 def _smooth_leaves(result: Any, smooth: Callable[[Any], Any]) -> tuple[list[Any], tuple[bool, ...]]:
-    """The leaves that carry a derivative, and which of all they are."""
+    """The leaves with a derivative, and the mask of these."""
     flags = tuple(jax.tree.leaves(smooth(result)))
     return [leaf for leaf, here in zip(jax.tree.leaves(result), flags, strict=True) if here], flags
 
@@ -345,17 +345,17 @@ mlir.register_lowering(_change_p, lower_without_axes(_tangents))
 
 # Checkpoint policy for recomputed parts of a run: decisions and search results are saved.
 #
-# Decisions and searches carry no derivative, but without them the part cannot be taken again, and they take longer than
-# the rest. They are few numbers beside the state.
+# Decisions and searches carry no derivative, but the part cannot be recomputed without them, and they take longer than
+# the rest. They are few numbers compared with the state.
 
 _NAME = "decided"
 
 
 def save_decision[T](found: T) -> T:
-    """A decision, or what was searched for (any tree of arrays), unchanged; `checkpoint` keeps it."""
+    """The decision (a tree of arrays), unchanged, marked so that `checkpoint` stores it."""
     return jax.tree.map(lambda values: checkpoint_name(values, _NAME), found)
 
 
 def checkpoint[**P, R](work: Callable[P, R]) -> Callable[P, R]:
-    """The function; its reverse derivative keeps arguments and what `save_decision` saves, and recomputes the rest."""
+    """The function; its reverse derivative stores arguments and decisions (`save_decision`) and recomputes the rest."""
     return jax.checkpoint(work, policy=jax.checkpoint_policies.save_only_these_names(_NAME))

@@ -105,13 +105,13 @@ class LoadState:
 
 
 def first_pressure(loading: Loading, volume: jax.Array) -> LoadState:
-    """At time 0, with so much volume [m^3]."""
+    """The state of a loading at time 0, with this enclosed volume [m^3]."""
     state = jax.tree.map(_array, loading.start(volume))
     return LoadState(_pressure(loading, jnp.zeros_like(volume), volume, state), state)
 
 
 def next_pressure(loading: Loading, last: LoadState, interval: Interval) -> LoadState:
-    """At the end of an interval, with what it was at its start."""
+    """The state of a loading at the end of an interval, from the `last` one at its start."""
     state = None if last.state is None else jax.tree.map(_array, loading.after(last.state, interval))
     return LoadState(_pressure(loading, interval.time, interval.volume, state), state)
 

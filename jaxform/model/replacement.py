@@ -113,10 +113,10 @@ def check_numbers(scene: Scene) -> None:
 
 
 def sanitize_parameters(scene: Scene) -> tuple[Scene, jax.Array]:
-    """A scene that can be simulated whatever its numbers are, and which of `DESIGNABLE` are out of range, as bits.
+    """A scene with all parameters in their ranges, and the bits of those of `DESIGNABLE` that were out of range.
 
-    Where any is, there is no pressure, and a sheet at rest stays so: under `vmap`, where its windows are computed
-    beside others', nothing in them overflows, nor in their derivatives.
+    If any was, the scene has no pressure, so that the sheet stays at rest: under `vmap` its windows are computed beside
+    others, and neither they nor their derivatives overflow.
     """
     found, bits = {}, jnp.zeros(WORDS, jnp.int32)
     for path, values in _designable_numbers(scene).items():
