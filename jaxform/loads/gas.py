@@ -27,10 +27,11 @@ MassAndHeat = tuple[jax.Array, jax.Array]
 class Gas(Loading):
     """An ideal gas with a mass flow, and perhaps a valve and a vent; its gauge pressure is m R T / V - ambient.
 
-    At first it is at ambient pressure. Its pressure is a result, and a sheet passes the maximum of its pressure as it
-    grows. The gas is inside the sheet, or, closed by the mold, on its other side, where it resists the sheet: then its
-    volume is the dead volume less that under the sheet. It has a constant temperature, or, adiabatic, its own: it
-    exchanges no heat, and what flows in, from the supply or from outside, brings enthalpy at `temperature`.
+    Initially the gas is at ambient pressure. Its pressure is a result of the simulation, so that a growing sheet passes
+    the maximum of its pressure. The gas is inside the sheet, or, closed by the mold, on its other side, where it
+    resists the sheet: then its volume is the dead volume less that under the sheet. It has a constant temperature, or,
+    adiabatic, its own: it exchanges no heat, and what flows in, from the supply or from outside, brings enthalpy at
+    `temperature`.
 
     The valve lets gas flow in from the supply while its pressure is higher, and back otherwise; the vent connects the
     gas with the outside; see `orifice_flow`. Areas, mass flow, volumes and mass are those of the modelled part: of a

@@ -31,11 +31,11 @@ class Cooling:
     """Heat transfer coefficients and heat capacity of the sheet.
 
     Attributes:
-        heat_capacity: Of the sheet [J/(kg K)].
+        heat_capacity: Specific heat capacity of the sheet [J/(kg K)].
         air: Heat transfer coefficient to the air, on both sides [W/(m^2 K)].
-        air_temperature: [degC].
+        air_temperature: Temperature of the air [degC].
         mold: Heat transfer coefficient to the mold, on the side in contact [W/(m^2 K)].
-        mold_temperature: [degC].
+        mold_temperature: Temperature of the mold [degC].
         conductivity: Thermal conductivity of the sheet [W/(m K)]; None if its surfaces have its mean temperature.
     """
 
@@ -145,12 +145,12 @@ def shift[T: Shift](cls: type[T]) -> type[T]:
 class Wlf(Shift):
     """log10 a = -c1 (T - T_r) / (c2 + T - T_r) (M. L. Williams, R. F. Landel, J. D. Ferry, J. Am. Chem. Soc. 77, 1955).
 
-    Of times alone: stiffness stays, a factor of 16 for 10 K near the reference.
+    It shifts relaxation times, not moduli.
 
     Attributes:
         reference: T_r [degC].
-        c1: A number.
-        c2: [K].
+        c1: First coefficient [-].
+        c2: Second coefficient [K].
     """
 
     kind: ClassVar[str] = "wlf"
@@ -172,7 +172,7 @@ class Wlf(Shift):
 
 @shift
 class Arrhenius(Shift):
-    """ln a = E / R (1 / T - 1 / T_r), T in kelvin; of times alone.
+    """The shift ln a = E / R (1 / T - 1 / T_r) of relaxation times, T in kelvin.
 
     Attributes:
         reference: T_r [degC].

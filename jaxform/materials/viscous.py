@@ -189,7 +189,7 @@ class Christensen(Modes):
 
 @modes
 class Maxwell(Modes):
-    """S = sum of g A, dA/dt = (C^-1 - A) / time, A = 1 at first: upper-convected Maxwell modes, for melts.
+    """S = sum of g A, dA/dt = (C^-1 - A) / time, initially A = 1: upper-convected Maxwell modes, for melts.
 
     The same is known as Lodge's rubber-like liquid and as K-BKZ without damping.
 

@@ -111,17 +111,17 @@ def run(
     on_end: Callable[[Result], object] | None = None,
     store: Store | None = None,
 ) -> Result:
-    """Simulates a scene by the host's loop of the same windows; same numbers as `simulate`, no derivative.
+    """Simulates a scene by a loop over windows on the host: the same numbers as `simulate`, without derivatives.
 
-    Its status says what is found after the run alone: that the sheet burst, and that the mold is not filled, unless
-    the scene says that it need not be (`Scene.fill`).
+    The part is checked after the last step: the status says, too, whether the sheet burst, and whether it leaves the
+    mold unfilled, unless the scene allows that (`Scene.fill`).
 
     Args:
         scene: The scene.
         on_window: Called after every window with a `Moment`; a true answer stops the run, and its status says so.
-            Without it the whole loop runs at once.
-        on_end: Called with the result when the last step is taken, before the part is measured against the mold,
-            which can take seconds; its status is that of the steps.
+            Without it the whole loop is one call of a compiled program.
+        on_end: Called with the result after the last step, before the part is compared with the mold, which can take
+            seconds; its status is that of the steps alone.
         store: Store for traced programs between runs; none by default.
 
     Raises:

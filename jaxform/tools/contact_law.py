@@ -20,9 +20,9 @@ class ContactLaw:
 
     Attributes:
         kind: Its name in scene files.
-        sticks: Whether nodes that touch the tool move with it from then on, as the paper has it. Otherwise they lie on
-            its surface as long as it pushes them, and slide by `limit_slip`.
-        has_friction: Whether nodes that slide lose energy by friction.
+        sticks: True if nodes move with the tool after contact, as in the paper. Otherwise they lie on its surface as
+            long as it pushes them, and slide by `limit_slip`.
+        has_friction: True if sliding nodes lose energy by friction.
     """
 
     kind: ClassVar[str]
