@@ -254,6 +254,6 @@ def _temperature_line(scene: Scene, temperature: np.ndarray) -> str:
     if cooling is None:
         return f"temperature of the sheet: {text}, constant"
     warm, density = as_real(temperature.mean()), scene.material.density.mean()
-    later = (cooling.temperature_after(warm, wall, as_real(share), density, second) for share in (0.0, 1.0))
+    later = (cooling.cooled(warm, wall, as_real(share), density, second) for share in (0.0, 1.0))
     air, mold = (float((warm - each) / second) for each in later)
     return f"temperature of the sheet: {text}; at first it loses {air:.3g} K/s in the air, {mold:.3g} K/s on the mold"

@@ -46,7 +46,7 @@ class Cooling:
     mold_temperature: jax.Array = ranged_parameter(RANGES["cooling.mold_temperature"], default=20.0)
     conductivity: jax.Array | None = ranged_parameter(RANGES["cooling.conductivity"], default=None)
 
-    def temperature_after(
+    def cooled(
         self, temperature: jax.Array, wall: jax.Array, touching: Touching, density: jax.Array, time: jax.Array
     ) -> jax.Array:
         """Temperatures [degC] after a time, exact where nothing else changes.
@@ -62,7 +62,7 @@ class Cooling:
         return temperature - time * loss * _mean_decay(time * rate)
 
     def pace(self, temperature: jax.Array, wall: jax.Array, touching: Touching, density: jax.Array) -> jax.Array:
-        """Cooling rate (n,) [K/s] of walls; arguments as in `temperature_after`."""
+        """Cooling rate (n,) [K/s] of walls; arguments as in `cooled`."""
         return self._rates(temperature, wall, touching, density)[1]
 
     def _rates(

@@ -154,14 +154,14 @@ def coldest_temperature(
     if cooling is None or temperature is None:
         return temperature, 0.0
     thin, rest = (temperature, _LEAST_WALL * parison.thickness), (material.density, solver.end_time)
-    free = cooling.temperature_after(*thin, as_real(0.0), *rest)
-    beside = [cooling.temperature_after(*thin, as_real(_ON_MOLD), *rest)]
+    free = cooling.cooled(*thin, as_real(0.0), *rest)
+    beside = [cooling.cooled(*thin, as_real(_ON_MOLD), *rest)]
     for tool in tools:
         numbers = {
             "mold": cooling.mold if tool.heat_transfer is None else tool.heat_transfer,
             "mold_temperature": cooling.mold_temperature if tool.temperature is None else tool.temperature,
         }
-        beside.append(_replace_values(cooling, numbers).temperature_after(*thin, as_real(_ON_MOLD), *rest))
+        beside.append(_replace_values(cooling, numbers).cooled(*thin, as_real(_ON_MOLD), *rest))
     most = max(float(np.abs(np.asarray(temperature - each)).max()) for each in (free, *beside))
     return jnp.minimum(temperature, free), most
 

@@ -99,6 +99,4 @@ def temperature_change(
         density: [kg/m^3], a number or (n,).
         time: The later time [s], a number or (n,).
     """
-    return (
-        cooling.temperature_after(first + heat.change, wall, share, density, jnp.maximum(time - heat.time, 0.0)) - first
-    )
+    return cooling.cooled(first + heat.change, wall, share, density, jnp.maximum(time - heat.time, 0.0)) - first

@@ -33,7 +33,7 @@ def _cooling(**numbers: float) -> jaxform.Cooling:
 
 
 def _wall_cooled(cooling: jaxform.Cooling, touching: float, time: Any) -> np.ndarray:
-    return np.asarray(cooling.temperature_after(real(140.0), real(0.01), real(touching), real(1.0), jnp.asarray(time)))
+    return np.asarray(cooling.cooled(real(140.0), real(0.01), real(touching), real(1.0), jnp.asarray(time)))
 
 
 def test_a_wall_cools_exponentially() -> None:

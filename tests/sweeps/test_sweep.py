@@ -106,13 +106,13 @@ def test_the_default_is_the_row_of_the_command(scene: Path) -> None:
     ("designs", "function", "options", "words"),
     [
         ([], describe, {}, "is empty"),
-        ([3], describe, {}, r"scenes_or_designs\[0\] = 3: is no scene"),
+        ([3], describe, {}, r"scenes_or_designs\[0\] = 3: is neither a scene"),
         ([{"material.c": 1.0}], describe, {}, "name one with --scene"),
         (["dish-coarse"], lambda scene: 0, {}, "cannot be sent to another process"),
         (["dish-coarse"], 3, {}, "is not a function"),
         (["dish-coarse"], describe, {"workers": 0}, "must be a positive whole number"),
         (["dish-coarse"], describe, {"executor": 3}, "is not an executor"),
-        ([{"material..c": 1.0}], describe, {"scene": "dish-coarse"}, "is no path"),
+        ([{"material..c": 1.0}], describe, {"scene": "dish-coarse"}, "is not a path"),
     ],
 )
 def test_bad_input_is_named(designs: Any, function: Any, options: dict[str, Any], words: str) -> None:
