@@ -224,11 +224,11 @@ def check_gradient(
     How far slope and secants are apart says how well the slope predicts a change of the design (`secant_error`).
 
     Args:
-        function: Of the numbers, returns a scalar.
+        function: Function of the numbers that returns a scalar.
         numbers: An array of floats, or a tree of such.
-        direction: Of the same structure; by default random, each number's change in proportion to its own size.
+        direction: Tree of the same structure; by default random, each number's change in proportion to its own size.
         steps: Fractions of the direction to step by, each to both sides.
-        seed: Of the random direction.
+        seed: Seed of the random direction.
 
     Raises:
         InputError: If there are no steps, one is not positive, or the direction has another shape than the numbers.

@@ -386,10 +386,10 @@ def hold_sides(
         velocities: In the step, (3, n_node) [m/s].
         before: `values_at_points` before the step.
         held: The held sides.
-        compliance: Of the nodes (3, n_node) [1/kg].
+        compliance: Compliance of the nodes (3, n_node) [1/kg].
         immovable: Nodes (n_node,) that are where they are whatever they hold.
         length: The step [s]; nothing is moved in one of no length.
-        carrier: Of each side, what the tool has moved by at the step's end [m], and its velocity (3, room) [m/s].
+        carrier: Displacement at the step's end [m] and velocity (3, room) [m/s] of the tool of each side.
         number: Number of the step.
         differentiable: Whether JAX can differentiate it.
     """

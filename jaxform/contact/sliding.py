@@ -25,8 +25,8 @@ class LyingNodes(NamedTuple):
         nodal: Forces without contact, three times (n,) [N].
         mass: [kg].
         mobile: 1 where a component may change, else 0, three times (n,).
-        wall, tool: What they lie on, as in `Nodes`.
-        lies: Which of them lie on a tool and do not stick to it.
+        wall, tool: Contact triangle and tool, as in `Nodes`.
+        lies: True for nodes that lie on a tool and do not stick to it.
         temperature: As in `Nodes`.
     """
 
@@ -278,7 +278,7 @@ def land_and_slide(
         point: Where they touch it, three times (n,) [m].
         velocities: With which they do, relative to it, three times (n,) [m/s].
         wall: On which triangle and side, as in `Nodes`.
-        left: What is left of the step [s]; 0 for nodes that do not land.
+        left: Remaining time of the step [s]; 0 for nodes that do not land.
         mobile: 1 where a component may change, else 0, three times (n,).
         differentiable: Whether loops have a fixed number of passes.
 

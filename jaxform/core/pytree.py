@@ -151,7 +151,7 @@ def parameter(
     """A number of a law, a loading or a field, with its range; by default any finite one.
 
     Args:
-        unit: Of the number, empty where it has none.
+        unit: Unit of the number; empty where it has none.
         above: It is greater than this.
         least: It is not less than this.
         most: It is not greater than this.

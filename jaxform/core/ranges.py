@@ -25,7 +25,7 @@ class Range:
     """The allowed range of a number; always finite.
 
     Attributes:
-        unit: Of the number; empty where it has none.
+        unit: Unit of the number; empty where it has none.
         above: It is greater than this.
         least, most: It is not less than the one and not greater than the other.
         increasing: Whether several must increase.

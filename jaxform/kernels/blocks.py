@@ -80,13 +80,13 @@ def over_blocks(
             summed over all, then those of which the largest is to be found, but 0 at least. It must treat every
             column by itself, and columns that are not in use harmlessly: where there are no blocks it is given them
             all.
-        block_count: How many blocks are in use.
+        block_count: Number of blocks in use.
         inputs: Arrays (..., capacity), the capacity a whole number of blocks; or a `Part` of one, or what is
             `PerBlock`.
         into: Arrays (k, capacity), or a `Part` of one, that take the rows; what is beyond the blocks in use stays as it
             is.
-        sums: How many vectors are summed; of the inputs' floating type.
-        most: Of how many the largest is found.
+        sums: Number of vectors that are summed; of the inputs' floating type.
+        most: Number of vectors whose largest value is found.
         update: Of so many arrays of `into`, the first ones and no `Part`s, the function takes the rows as they were: a
             list of them is its first argument.
         kept: Whether these rows are copied before the function uses them. Without it the function must see to it that

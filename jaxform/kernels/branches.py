@@ -28,11 +28,11 @@ class _BranchResiduals:
 
     Attributes:
         asked: Whether it was taken.
-        given: What it was called with: what it closed over, then the value.
+        given: Its arguments: closed-over values, then the value.
         residual_index: Residuals that the branch has computed.
         place: Where each leaf of its derivative is: in `given`, or beyond that in `residual_index`.
         structure: Of its derivative, a function.
-        moving: Which of `given` it is a derivative by.
+        moving: True for the differentiated ones of `given`.
     """
 
     asked: jax.Array

@@ -33,8 +33,8 @@ def call_opaque(function: Callable[..., Any], *arguments: Any, name: Hashable = 
     """The function's result; forward derivatives pass through, reverse ones are refused.
 
     Args:
-        function: Of trees of arrays; it may close over no traced value.
-        arguments: What it is called with.
+        function: Function of trees of arrays; it may close over no traced value.
+        arguments: Its arguments.
         name: What tells the function from all others; with one it is traced once for arguments alike. JAX asks for the
             derivatives of a loop's body several times.
 

@@ -51,7 +51,7 @@ class Gas(Loading):
         orifice_area: Area of the open valve [m^2].
         vent: Opening of the vent (n_knot,), from 0 to 1; None, as its area, without a vent.
         vent_area: Area of the open vent [m^2].
-        discharge_coefficient: Of valve and vent.
+        discharge_coefficient: Discharge coefficient of valve and vent.
         adiabatic: Whether the gas exchanges no heat; else its temperature is constant.
         closed_by: What closes the volume of the gas: "clamp" for that under the sheet, or "mold".
     """
@@ -249,9 +249,9 @@ def make_gas(
         valve: Opening of the valve, from 0 to 1, a number or one for each knot.
         vent_area: Area of the open vent [m^2].
         vent: Opening of the vent, from 0 to 1, a number or one for each knot.
-        discharge_coefficient: Of valve and vent.
-        heat_capacity_ratio: Of the gas.
-        temperature: Of the gas [K].
+        discharge_coefficient: Discharge coefficient of valve and vent.
+        heat_capacity_ratio: Heat capacity ratio of the gas.
+        temperature: Temperature of the gas [K].
         gas_constant: [J/(kg K)].
         ambient_pressure: Absolute pressure outside [Pa].
         dead_volume: [m^3].

@@ -157,7 +157,7 @@ class Overstress(NamedTuple):
     Attributes:
         total: Stress S^ab [Pa/m^2] of all, free across the sheet.
         modes: That of each by itself, four rows.
-        measure: What it follows.
+        measure: Measure of strain that it relaxes to.
         strained: The strain.
     """
 

@@ -47,7 +47,7 @@ class Elements:
             both ends of the common edge share the first row, half by half, and the nodes apart have the second.
         overflow, overflow_into: Further shares (k,), of nodes with more elements than `slots` is deep, and the shares
             of these nodes that they are added to.
-        overflow_count: How many of them are in use.
+        overflow_count: Number of these in use.
         block_count, node_block_count: Blocks of elements, and of nodes, in use.
         row_count: Rows of `slots` in use, of each block of nodes (n_node_block,).
     """
@@ -259,15 +259,16 @@ class Nodes:
     Attributes:
         positions: (3, n_node) [m]; inside a window's loop row by row, where no derivative is taken.
         velocities: (3, n_node) [m/s], half a step behind the positions.
-        stuck: Nodes (n_node,) that have no motion of their own any more: clamped, or on a tool to which they stick.
-        contact_time: When a node touched a tool (n_node,) [s]; -1 where free, 0 where clamped.
-        wall: What a node touches (n_node,): one more than the number of the tool's triangle, negative where the node
-            came from the far side of its normal; 0 where it touches none.
-        tool: The number of the tool that a node touches (n_node,), as in `Scene.surfaces`, or touched last; None where
-            there is one at most.
-        temperature: Of the sheet (n_node,) [degC] in the middle of the window; None where no contact law needs it.
-        slip: The length of the way (n_node,) [m] that a node has slid along tools so far; None where none can slide.
-        mode: Of the highest frequency (3, n_node); None where it is not measured.
+        stuck: True for nodes that are clamped or stick to a tool (n_node,).
+        contact_time: Time of a node's contact with a tool (n_node,) [s]; -1 where free, 0 where clamped.
+        wall: Contact triangle (n_node,): one more than the number of the tool's triangle, negative where the node came
+            from the far side of its normal; 0 without contact.
+        tool: Number of the tool of the contact, or of the last one (n_node,), as in `Scene.surfaces`; None with one
+            surface at most.
+        temperature: Temperature of the sheet (n_node,) [degC] in the middle of the window; None where no contact law
+            needs it.
+        slip: Slip distance so far (n_node,) [m]; None where no node can slide.
+        mode: Mode of the highest frequency (3, n_node); None where it is not computed.
         fields: The scene's own, by name (n_node,).
     """
 

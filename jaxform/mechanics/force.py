@@ -59,7 +59,7 @@ def corner_cotangents(
     """Transpose of `corner_forces`' derivative, from cotangents of the nodal force (3, place) and of the volume.
 
     Args:
-        load: What the force is computed for.
+        load: Arguments of the force.
         elements: Its elements.
         wanted: Which leaves of the load; of the material and the memory those of the response's
             numbers, in their order.

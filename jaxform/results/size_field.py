@@ -123,7 +123,7 @@ def _corners(vertices: Array, edges: NDArray[np.integer]) -> NDArray[np.int64]:
 
 
 def _is_convex(vertices: Array, edges: NDArray[np.integer], places: Array) -> NDArray[np.bool_]:
-    """Whether edges (4, n) are convex, seen from places (n, 3) [m] where the sheet was: not between both faces."""
+    """True for edges (4, n) that are convex as seen from places (n, 3) [m] of the sheet: not between both faces."""
     begin, end, *thirds = (vertices[row] for row in edges)
     along = end - begin
     along /= np.linalg.norm(along, axis=1, keepdims=True)

@@ -123,8 +123,8 @@ class ActiveSet:
         memory: Stress of the Prony terms of all elements at the time of packing; None without Prony terms.
         idle: Inactive elements with Prony terms; None where there are none.
         workspace: Arrays reused from window to window; None where each window allocates its own.
-        heat: How far all elements had cooled when they were packed, as in `State`; None where they do not.
-        initial: Of its elements the initial temperature (room,) [degC], and the zones without time-temperature shift;
+        heat: Temperature change of all elements at the time of packing, as in `State`; None where they do not cool.
+        initial: Initial temperature of the elements (room,) [degC], and their zones without time-temperature shift;
             None where they do not cool.
     """
 

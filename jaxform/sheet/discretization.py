@@ -25,14 +25,14 @@ class RefinedMesh:
     Attributes:
         split_at: Window at whose begin each triangle was bisected (n_triangle,); NEVER for the others.
         element: The triangles in use (element_room,), then others.
-        element_count: How many are in use.
+        element_count: Number of triangles in use.
         node: The node at each place (node_room,), in the order in which they came to be.
         place: The place of each node (n_node,); 0 where there is no such node.
-        node_count: How many there are.
+        node_count: Number of nodes.
         side: The element with each half edge (n_half_edge,), -1 where there is none. None where derivatives are taken,
             which would keep it for each window: it is as long as the forest, and made anew where it is needed.
         corner: Four times the element, and its corner, of those at each place (valence, node_room); -1 beyond them.
-        corner_count: How many they are (node_room,).
+        corner_count: Number of corners at each place (node_room,).
         row: The row of `corner` in which each element's corners are (3, element_room).
     """
 
@@ -68,19 +68,19 @@ class Discretization:
 
     Attributes:
         sheet: Initial geometry of the elements.
-        assembly: How nodes gather their force.
+        assembly: Table of the element corners at each node, for the nodal sums.
         bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
         thickness: Initial thickness of the elements (n_element,) [m].
         zones: Numbers of the law that vary over the sheet, of the elements (..., n_element), by name.
         mass: Lumped mass of the nodes (n_node,) [kg], with what fine elements are given to keep the step long.
         compliance: Mobility over mass (3, n_node) [1/kg].
         whole: All elements and nodes, packed.
-        volumes: Of all triangles of the forest (n_triangle,) [m^3]; None without one.
+        volumes: Volumes of all triangles of the forest (n_triangle,) [m^3]; None without refinement.
         forest_zones: Numbers of the material that vary, of all triangles of the forest.
         forest_temperature: Initial temperature of these triangles (n_triangle,) [degC]; None where it has no effect.
-        modes: Viscous modes, of each element (n_mode, n_element); None where they do not vary.
-        temperature: Of the elements (n_element,) [degC], at first, where the sheet cools: zones and modes are then
-            those at the law's reference. None where it does not.
+        modes: Prony terms of each element (n_mode, n_element); None where they do not vary.
+        temperature: Initial temperature of the elements (n_element,) [degC]; None where the sheet does not cool. With
+            it, zones and modes are those at the reference temperature.
     """
 
     sheet: ReferenceGeometry

@@ -89,7 +89,7 @@ def stored_energy(
 
     Args:
         g: Present metric (n,).
-        inverse: Of the initial one (3, n).
+        inverse: Inverse of the initial metric (3, n).
         material: Their law, its zones (n,).
         modes: Viscous modes; None without.
         memory: The stress of these (4 n_mode, n); None without.

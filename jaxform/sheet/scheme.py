@@ -179,7 +179,7 @@ def synchronize_velocity(
         state: In the mesh's order.
         scene: The scene.
         discrete: The sheet with that mesh.
-        active: What of it can move, and maybe more; found here by default, differentiably.
+        active: An active set with all elements that can move; by default it is made here, differentiably.
     """
     active = active or active_set_of(state, scene, discrete, differentiable=True)
     volume = enclosed_volume(state.nodes.positions, discrete.sheet)

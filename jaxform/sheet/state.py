@@ -95,7 +95,7 @@ class EnergyBalance:
     Attributes:
         volume: Enclosed before the last step [m^3].
         load_state: State of the loading before the last step; None where the pressure depends on the time alone.
-        external_work: Of the pressure: its forces times the nodes' displacements.
+        external_work: Work of the pressure: its forces times the nodes' displacements.
         damping_loss, contact_loss: Dissipated by damping, and by impacts on the mold.
         refinement_loss: Strain and kinetic energy that new nodes took away.
         peak_work: Largest magnitude of the external work.
@@ -172,13 +172,13 @@ class Control:
     """Data for choosing the step length and the window length.
 
     Attributes:
-        step_length: Of the last step [s]; 0 before the first.
+        step_length: Length of the last step [s]; 0 before the first.
         span: Steps that the next window takes, unless it is cut short or the end is near.
         retries: Times that the present window was retried with half the step: it blew up, or may have missed the mold.
         bound, sharpness: The elements' bound on the step [s], and how many times as long the measured one is; 0 before.
         rung: The step [s] of the last window, had it not been retried and not divided the rest of the time; 0 before.
         last_length, last_count: Step length [s] and steps of the last window; no steps where it was rejected.
-        pace: How fast the sheet cools at most [K/s]; None where it does not.
+        pace: Largest cooling rate of the sheet [K/s]; None where it does not cool.
     """
 
     step_length: jax.Array
@@ -206,15 +206,15 @@ class State:
 
     Attributes:
         nodes: Its nodal fields, in the mesh's order; see `PackedState`.
-        account: Its energies.
-        control: How long its steps and windows are.
-        replay: Where it is in a schedule.
-        mesh: Which triangles of the forest there are; None without refinement.
+        account: Its energy account.
+        control: Data for choosing step and window lengths.
+        replay: Position in a schedule.
+        mesh: Present triangles of the forest; None without refinement.
         memory: Stress of the Prony terms (4 n_mode, n_element), as in `materials.viscous`; None without Prony terms.
         time: [s].
         steps, windows, shortened: Steps and windows taken; windows that were rejected and retried.
         status: Bits of `Status`.
-        heat: How far the elements have cooled; None where they do not.
+        heat: Temperature change of the elements by cooling; None where they do not cool.
         held: Sides that are held at sharp edges of tools; None where none can be.
     """
 

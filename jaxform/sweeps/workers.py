@@ -264,7 +264,7 @@ class Outcome:
 
     Attributes:
         status: "ok", or what failed, in one line.
-        value: What the function returned; None where it raised.
+        value: Return value of the function; None where it raised.
         seconds: Wall-clock time that it took [s].
     """
 
