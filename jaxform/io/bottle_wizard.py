@@ -105,7 +105,8 @@ def read_bottle(paths: Sequence[Path], scale: float | None) -> tuple[Mesh, Units
     raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
     extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
     units = guess_units(extent, scale)
-    return footprint.weld_mold(raw.positions * units[0], raw.triangles), units, extent
+    whole = meshes.drop_fins(meshes.weld(raw, footprint.WELD * meshes.size(raw.positions)))
+    return footprint.weld_mold(whole.positions * units[0], whole.triangles), units, extent
 
 
 def _neck_radius(body: Revolution) -> float:

@@ -175,6 +175,31 @@ def find_degenerate(positions: NDArray[np.float64], triangles: NDArray[np.intege
     return repeated | copied | (doubled_area <= DEGENERATE_HEIGHT * longest_squared)
 
 
+def drop_fins(mesh: Mesh) -> Mesh:
+    """Drops fins of a welded surface: two triangles of the same nodes, back to back, on an edge of two others.
+
+    Programs that make a mesh coarser leave them. `drop_degenerate` would leave one of the two, and the surface no longer
+    closed. A surface of which all triangles are given from both sides remains.
+    """
+    triangles = mesh.triangles
+    _, _, same, count = distinct_rows(np.sort(triangles, axis=1))
+    turned = triangles[np.arange(len(triangles))[:, None], (np.argmin(triangles, axis=1)[:, None] + [0, 1, 2]) % 3]
+    signs = np.where(turned[:, 1] < turned[:, 2], 1, -1)
+    paired = (count[same] == 2) & (np.bincount(same, signs)[same] == 0)
+    if not paired.any():
+        return mesh
+    sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, _, edge, _ = distinct_rows(sides)
+    # Fins that hang together are dropped together, where one of them stands on two other triangles.
+    of_pair = edge.reshape(-1, 3)[paired]
+    others = np.bincount(edge, np.repeat(~paired, 3))
+    part = topology.connected_parts(of_pair[:, [0, 0]].ravel(), of_pair[:, [1, 2]].ravel(), len(others))
+    stands = np.zeros(part.max() + 1, bool)
+    stands[part[of_pair[others[of_pair] >= 2.0]]] = True
+    paired[paired] = stands[part[of_pair[:, 0]]]
+    return drop_unused_nodes(replace(mesh, triangles=triangles[~paired]))
+
+
 def size(positions: NDArray[np.float64]) -> float:
     """Diagonal of the bounding box [m] of positions of shape (n, 3); 0 of no positions."""
     return math.hypot(*np.ptp(positions, axis=0)) if len(positions) else 0.0

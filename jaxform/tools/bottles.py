@@ -26,6 +26,11 @@ _MIRRORED = 0.01  # of the length, root mean square, by which a mirrored bottle 
 _TURNS = 24  # directions across the axis that are tried as normals of the parting plane
 _FLAT = 1e-5  # of the size: what is as near to a plane lies in it
 _CUT = 0.5  # of the area that a half covers, its cut face at least
+_WHOLE = 0.97  # of the length of a half, along which its cut reaches at least
+_IN_CUT = 0.7  # of the open edges of a half, that lie in its cut
+_STEEP = 0.3  # sine of the angle between an axis and what is about along it, at most
+_OFF, _ALIGNED = 0.1, 6e-4  # cosine below 1 of an axis off the longest direction at most, and off x, y or z
+_TURNED = 6  # times that an axis or a plane is fitted to what is near the last one
 
 
 class BottleHalf(NamedTuple):
@@ -128,10 +133,10 @@ def _symmetry(outside: _Outside) -> tuple[Array, str]:
 def _find_outside(mesh: Mesh) -> _Outside:
     """The outside of a bottle, whole, and cut off at its neck."""
     used = np.unique(mesh.triangles)
-    size, positions = meshes.size(mesh.positions[used]), mesh.positions
-    axis = _find_axis(positions[used])
-    whole = _complete_half(mesh, axis)
+    size = meshes.size(mesh.positions[used])
+    whole = _complete_half(mesh, _find_axis(mesh))
     positions, used = whole.positions, np.unique(whole.triangles)
+    axis = _find_axis(whole)  # the longest direction of a half is only near it
     along = positions @ axis
     if _width_at_end(positions[used], axis) > _width_at_end(positions[used], -axis):
         axis, along = -axis, -along
@@ -179,14 +184,36 @@ def clip(mesh: Mesh, normal: Array, level: float, *, keep_below: bool) -> Mesh:
     return Mesh(joined[kept], renumbered.reshape(-1, 3).astype(np.int32), {})
 
 
-def _find_axis(points: Array) -> Array:
-    """The axis x, y or z along which points (n, 3) are longest, or their principal axis if they are longer along it."""
+def _find_axis(mesh: Mesh) -> Array:
+    """The axis of a bottle: that to which its sides are parallel, near its longest direction; x, y or z if that is near.
+
+    With a handle, a bottle is longest in a direction off its axis. Without sides, x, y or z if it is about as long
+    along that.
+    """
+    points = mesh.positions[np.unique(mesh.triangles)]
     principal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][0]
+    axis: Array | None = principal
+    for _ in range(_TURNED):
+        axis = None if axis is None else _side_axis(mesh, axis)
+    if axis is not None and axis @ principal > 1.0 - _OFF:
+        nearest = int(np.argmax(np.abs(axis)))
+        return np.eye(3)[nearest] if abs(axis[nearest]) > 1.0 - _ALIGNED else axis
     extents = np.ptp(points, axis=0)
     best = int(np.argmax(extents))
-    if float(np.ptp(points @ principal)) > 1.02 * extents[best]:
-        return principal
-    return np.eye(3)[best]
+    return principal if float(np.ptp(points @ principal)) > 1.02 * extents[best] else np.eye(3)[best]
+
+
+def _side_axis(mesh: Mesh, axis: Array) -> Array | None:
+    """The direction to which the faces that are about along an axis are most nearly parallel; None without one."""
+    corners = mesh.positions[mesh.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    sides = (area > 0.0) & (np.abs(normal @ axis) < _STEEP * area)
+    if not sides.any():
+        return None
+    sizes, ways = np.linalg.eigh(np.einsum("ni,nj->ij", normal[sides] / area[sides, None], normal[sides]))
+    # Sides all around have normals in two directions, but for the third.
+    return ways[:, 0] * np.sign(ways[:, 0] @ axis) if sizes[0] < _STEEP * sizes[1] else None
 
 
 def _width_at_end(points: Array, axis: Array) -> float:
@@ -198,40 +225,58 @@ def _width_at_end(points: Array, axis: Array) -> float:
 
 
 def _complete_half(mesh: Mesh, axis: Array) -> Mesh:
-    """The whole of a mesh that is half of a bottle, open or closed by a flat face along the axis; else the mesh."""
+    """The whole of a mesh that is half of a bottle, open or closed by a flat face along the axis; else the mesh.
+
+    The axis is about that of the bottle. The plane of the cut reaches from its bottom to the end of its neck; a flat
+    side of a bottle ends below the neck.
+    """
     positions, triangles = mesh.positions, mesh.triangles
     corners = positions[triangles]
     area_vector = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size, edges = meshes.size(positions[np.unique(triangles)]), topology.boundary_edges(triangles)
+    used = np.unique(triangles)
+    size, edges = meshes.size(positions[used]), topology.boundary_edges(triangles)
     length = np.linalg.norm(positions[edges[:, 1]] - positions[edges[:, 0]], axis=1)
     for way in _across(mesh, axis):
-        level = (positions[np.unique(triangles)] @ way).min()
+        level = (positions[used] @ way).min()
         there = np.abs(positions @ way - level) <= _FLAT * size
         flat = there[triangles].all(1)
         covered = 0.5 * np.abs(area_vector @ way).sum()
         closed = np.abs(area_vector[flat] @ way).sum() >= _CUT * covered
         opened = len(edges) > 0 and length[there[edges].all(1)].sum() >= _CUT * length.sum()
-        if closed or opened:
-            half = Mesh(positions, triangles[~flat], {})
-            image = positions - 2.0 * np.outer(positions @ way - level, way)
+        along = positions[used] @ (axis - (axis @ way) * way)
+        if (closed or opened) and np.ptp(along[there[used]]) >= _WHOLE * np.ptp(along):
+            # The cut is put exactly into its plane, so that the halves meet.
+            above = np.where(there, 0.0, positions @ way - level)
+            half = Mesh(positions - np.outer(np.where(there, positions @ way - level, 0.0), way), triangles[~flat], {})
+            image = half.positions - 2.0 * np.outer(above, way)
             both = meshes.merge([half, Mesh(image, half.triangles[:, ::-1], {})])
             return meshes.weld(both)
     return mesh
 
 
 def _across(mesh: Mesh, axis: Array) -> Iterator[Array]:
-    """Directions across the axis, both ways: those of the file first, then the normals of the largest flat faces."""
-    for way in np.eye(3):
-        if abs(way @ axis) < 1e-6:
-            yield way
-            yield -way
+    """Directions about across the axis, both ways, in which a surface may have been cut.
+
+    They are those of the file, and the normals of its largest face and of the plane of most of its open edges.
+    """
     corners = mesh.positions[mesh.triangles]
-    area_vector = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal = area_vector[np.argmax(np.linalg.norm(area_vector, axis=1))]
-    normal = normal / np.linalg.norm(normal)
-    if abs(normal @ axis) < 1e-3:
-        yield normal
-        yield -normal
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    ways = [*np.eye(3), normal[np.argmax(np.linalg.norm(normal, axis=1))]]
+    ends = mesh.positions[topology.boundary_edges(mesh.triangles)]
+    if len(ends) > 2:
+        passed = np.cumsum(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+        points = ends[np.searchsorted(passed, np.linspace(0.0, passed[-1], _SAMPLES))].reshape(-1, 3)
+        near = points
+        for _ in range(_TURNED):
+            middle = near.mean(0)
+            ways[4:] = [np.linalg.svd(near - middle, full_matrices=False)[2][2]]
+            away = np.abs((points - middle) @ ways[4])
+            near = points[away <= np.quantile(away, _IN_CUT)]
+    for way in ways:
+        size = np.linalg.norm(way)
+        if abs(way @ axis) < _STEEP * size:
+            yield way / size
+            yield -way / size
 
 
 def _largest_part(mesh: Mesh) -> Mesh:

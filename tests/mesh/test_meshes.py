@@ -12,7 +12,7 @@ import pytest
 from jaxform import shapes
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, topology
-from jaxform.mesh.meshes import Mesh, drop_degenerate, read_mesh, weld, write_pvd, write_vtu
+from jaxform.mesh.meshes import Mesh, drop_degenerate, drop_fins, read_mesh, weld, write_pvd, write_vtu
 
 pytestmark = pytest.mark.quick
 
@@ -270,6 +270,20 @@ def test_drop_degenerate(unit):
     assert count == 6
     np.testing.assert_array_equal(mesh.triangles, SQUARE.triangles)
     np.testing.assert_array_equal(mesh.positions, unit * SQUARE.positions)
+
+
+def test_fins_are_dropped_from_both_sides_and_plates_given_from_both_sides_stay():
+    a, b, _ = BALL.triangles[7]
+    n = len(BALL.positions)
+    # A fin on an edge, one that hangs on it, and a piece apart.
+    fins = [[a, b, n], [b, a, n], [b, n + 1, n], [n, n + 1, b]]
+    plate = [[n + 2, n + 3, n + 4], [n + 3, n + 2, n + 4]]
+    positions = np.concatenate([BALL.positions, np.eye(5, 3) + 3.0])
+    whole = drop_fins(Mesh(positions, np.array([*BALL.triangles, *fins, *plate], np.int32)))
+    assert len(whole.triangles) == len(BALL.triangles) + 2
+    np.testing.assert_array_equal(whole.triangles[:-2], BALL.triangles)
+    copy = Mesh(positions, np.array([*BALL.triangles, BALL.triangles[7]], np.int32))
+    np.testing.assert_array_equal(drop_fins(copy).triangles, copy.triangles)
 
 
 def test_a_slender_triangle_stays():
