@@ -29,7 +29,10 @@ _GAP = 0.15  # of the parison's radius, between it and the mold half at first
 _REACH = 0.2  # of a handle's width, over which the flattened parison is to lie
 _ABOVE = 1e-4  # of the length, between the mold and the blow pin
 _C, _DENSITY = 2.0e5, 950.0  # of the placeholder
-_SUPPORT, _SPREAD, _BLOW, _LEAST = 0.07, 3.5, 28.0, 8.0e5  # air, over c h / r; and the blow in Pa at least
+_SUPPORT, _BLOW, _LEAST = 0.07, 28.0, 8.0e5  # air, over c h / r; and the blow in Pa at least
+# The air when the halves meet. A tube that cannot become longer is blown up without limit by 2 (1 + alpha) c h / r, here
+# 3: less leaves it narrower than the cavity, and only a handle needs more.
+_SPREAD, _WIDE_SPREAD = 2.5, 3.5
 
 
 def draft_extrusion(
@@ -122,7 +125,7 @@ def _scene(paths: Sequence[Path], half: BottleHalf, radius: float, thickness: fl
     """The scene file, of a parison of this radius and thickness [m]."""
     tail, wide = _TAIL * half.length, _LAND * half.length
     gap = round_digits((1.0 + _GAP) * radius)
-    air = _C * thickness / radius
+    air, spread = _C * thickness / radius, _WIDE_SPREAD if has_handle else _SPREAD
     low, high = half.mesh.positions.min(0), half.mesh.positions.max(0)
     width = float(high[1] - low[1]) + 2.0 * wide
     values = {
@@ -132,7 +135,7 @@ def _scene(paths: Sequence[Path], half: BottleHalf, radius: float, thickness: fl
         "elements": str(_MORE if has_handle else _ELEMENTS),
         "length": f"{half.length + tail:.6g}",
         "thickness": f"{thickness:.6g}",
-        "pressure": inline([0.0, *(round_digits(air * share) for share in (_SUPPORT, _SPREAD))])[:-1]
+        "pressure": inline([0.0, *(round_digits(air * share) for share in (_SUPPORT, spread))])[:-1]
         + f", {round_digits(max(_LEAST, _BLOW * air)):.6g}]",
         "half": HALF,
         "land": f"{wide:.6g}",
