@@ -30,7 +30,9 @@ _WHOLE = 0.97  # of the length of a half, along which its cut reaches at least
 _IN_CUT = 0.7  # of the open edges of a half, that lie in its cut
 _STEEP = 0.3  # sine of the angle between an axis and what is about along it, at most
 _OFF, _ALIGNED = 0.1, 6e-4  # cosine below 1 of an axis off the longest direction at most, and off x, y or z
-_TURNED = 6  # times that an axis or a plane is fitted to what is near the last one
+_STEEPER = (_STEEP, _STEEP, 0.15, 0.15, 0.08, 0.08, 0.04, 0.04)  # as the axis becomes closer
+_AROUND = 0.1  # of the area of sides in one direction, that of those across at least
+_TURNED = 6  # times that a plane is fitted to what is near the last one
 
 
 class BottleHalf(NamedTuple):
@@ -69,7 +71,7 @@ class BottleBody(NamedTuple):
     origin: Array
 
 
-_Outside = tuple[Mesh, Array, Array, float, float]
+Outside = tuple[Mesh, Array, Array, float, float]
 """A bottle's outside in the frame of its file, cut off below the end of its neck: the surface [m], the axis towards the
 neck (3,), the middle of the cut (3,) [m], and the places of bottom and cut along the axis [m]."""
 
@@ -80,7 +82,7 @@ def find_bottle(mesh: Mesh) -> BottleHalf:
     Raises:
         InputError: It has no neck, or no plane of symmetry along its axis.
     """
-    outside = _find_outside(mesh)
+    outside = find_outside(mesh)
     opened, axis, rim, low, cut = outside
     normal = _parting_normal(outside)
     half = clip(opened, normal, float(rim @ normal), keep_below=False)
@@ -107,7 +109,7 @@ def find_body(mesh: Mesh) -> BottleBody:
     Raises:
         InputError: It has no neck, or a handle.
     """
-    outside = _find_outside(mesh)
+    outside = find_outside(mesh)
     opened, axis, rim, low, cut = outside
     if handles := topology.count_handles(opened.triangles):
         problem = f"has {handles} handle{'s' * (handles > 1)}, or holes through it, around which no preform is blown"
@@ -119,7 +121,7 @@ def find_body(mesh: Mesh) -> BottleBody:
     return BottleBody(Mesh(places, opened.triangles, {}), symmetry, rotation, origin)
 
 
-def _symmetry(outside: _Outside) -> tuple[Array, str]:
+def _symmetry(outside: Outside) -> tuple[Array, str]:
     """The direction x (3,) of a bottle's frame, and the symmetry of the bottle in it, as `BottleBody`."""
     planes = _MirrorPlanes(outside)
     angles, limit = planes.best_angles(), _SYMMETRIC * (outside[4] - outside[3])
@@ -130,7 +132,7 @@ def _symmetry(outside: _Outside) -> tuple[Array, str]:
     return planes.normal(angles[int(np.argmin(errors))]), "half" if min(errors) <= limit else "none"
 
 
-def _find_outside(mesh: Mesh) -> _Outside:
+def find_outside(mesh: Mesh) -> Outside:
     """The outside of a bottle, whole, and cut off at its neck."""
     used = np.unique(mesh.triangles)
     size = meshes.size(mesh.positions[used])
@@ -185,16 +187,22 @@ def clip(mesh: Mesh, normal: Array, level: float, *, keep_below: bool) -> Mesh:
 
 
 def _find_axis(mesh: Mesh) -> Array:
-    """The axis of a bottle: that to which its sides are parallel, near its longest direction; x, y or z if that is near.
+    """The axis of a bottle: that to which its sides, and then those of its neck, are parallel; x, y or z if near.
 
-    With a handle, a bottle is longest in a direction off its axis. Without sides, x, y or z if it is about as long
-    along that.
+    With a handle, a bottle is longest in a direction off its axis. Without sides, its longest direction, or x, y or z
+    if it is about as long along that.
     """
     points = mesh.positions[np.unique(mesh.triangles)]
     principal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][0]
-    axis: Array | None = principal
-    for _ in range(_TURNED):
-        axis = None if axis is None else _side_axis(mesh, axis)
+    axis = None
+    for steep in _STEEPER:
+        if (closer := _side_axis(mesh, principal if axis is None else axis, steep)) is not None:
+            axis = closer
+    if axis is not None:
+        neck = _neck(mesh, axis)
+        for steep in _STEEPER[3::2]:
+            if (closer := _side_axis(neck, axis, steep)) is not None:
+                axis = closer
     if axis is not None and axis @ principal > 1.0 - _OFF:
         nearest = int(np.argmax(np.abs(axis)))
         return np.eye(3)[nearest] if abs(axis[nearest]) > 1.0 - _ALIGNED else axis
@@ -203,17 +211,31 @@ def _find_axis(mesh: Mesh) -> Array:
     return principal if float(np.ptp(points @ principal)) > 1.02 * extents[best] else np.eye(3)[best]
 
 
-def _side_axis(mesh: Mesh, axis: Array) -> Array | None:
-    """The direction to which the faces that are about along an axis are most nearly parallel; None without one."""
+def _neck(mesh: Mesh, axis: Array) -> Mesh:
+    """The faces of a bottle at the end of its neck, which is the narrower of its ends along an axis."""
+    used = mesh.positions[np.unique(mesh.triangles)]
+    if _width_at_end(used, axis) > _width_at_end(used, -axis):
+        axis = -axis
+    along = mesh.positions[mesh.triangles] @ axis
+    near = along.min(1) > along.max() - _NECK_END * np.ptp(along)
+    return Mesh(mesh.positions, mesh.triangles[near], {})
+
+
+def _side_axis(mesh: Mesh, axis: Array, steep: float) -> Array | None:
+    """The direction to which faces are most nearly parallel; None without one.
+
+    Of the faces whose angle with an axis has at most this sine.
+    """
     corners = mesh.positions[mesh.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
-    sides = (area > 0.0) & (np.abs(normal @ axis) < _STEEP * area)
+    sides = (area > 0.0) & (np.abs(normal @ axis) < steep * area)
     if not sides.any():
         return None
     sizes, ways = np.linalg.eigh(np.einsum("ni,nj->ij", normal[sides] / area[sides, None], normal[sides]))
     # Sides all around have normals in two directions, but for the third.
-    return ways[:, 0] * np.sign(ways[:, 0] @ axis) if sizes[0] < _STEEP * sizes[1] else None
+    around = sizes[0] < _STEEP * sizes[1] and sizes[1] > _AROUND * sizes[2]
+    return ways[:, 0] * np.sign(ways[:, 0] @ axis) if around else None
 
 
 def _width_at_end(points: Array, axis: Array) -> float:
@@ -306,7 +328,7 @@ def _section_middle(mesh: Mesh, axis: Array, level: float, size: float) -> Array
     return np.average(ends[there].mean(1), axis=0, weights=length)
 
 
-def _parting_normal(outside: _Outside) -> Array:
+def _parting_normal(outside: Outside) -> Array:
     """The normal of the plane of symmetry along the axis across which the bottle is shortest."""
     mesh, axis, *_ = outside
     length = float(np.ptp(mesh.positions @ axis))
@@ -328,7 +350,7 @@ def _parting_normal(outside: _Outside) -> Array:
 class _MirrorPlanes:
     """Planes along the axis of a bottle through the middle of its neck, by the angle of their normal."""
 
-    def __init__(self, outside: _Outside) -> None:
+    def __init__(self, outside: Outside) -> None:
         mesh, axis, self._rim, *_ = outside
         first = next(way for way in np.eye(3) if abs(way @ axis) < 0.9)
         first = first - (first @ axis) * axis

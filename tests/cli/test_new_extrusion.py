@@ -14,7 +14,7 @@ from jaxform.cli.command import main
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import molds
-from jaxform.tools.bottles import clip, find_bottle
+from jaxform.tools.bottles import clip, find_bottle, find_outside
 
 ROUND = [[0, 6], [20, 5], [32, 0], [42, 3], [45, 10], [45, 190], [30, 250], [13.5, 285], [13.5, 300], [0, 300]]
 HOLLOW = [*ROUND[:-1], [12, 300], [12, 284], [28.5, 249], [43.5, 190], [43.5, 11], [32, 2], [20, 6.5], [0, 7.5]]
@@ -91,16 +91,14 @@ def test_scene_runs_the_first_time(tmp_path: Path, kind: str) -> None:
     assert summary["flash_mass"] > 0.05 * summary["mass"]
     # The part's mass is that of its mean wall on the mold, but for what corners leave open.
     assert scene.mold is not None
-    mean = summary["mass"] / (950.0 * find_bottle_area(tmp_path / "new" / "half.stl"))
+    mean = summary["mass"] / (950.0 * _area(meshes.read_mesh(tmp_path / "new" / "half.stl")))
     np.testing.assert_allclose(summary["thickness"]["mean"], mean, rtol=0.1)
 
 
-def find_bottle_area(path: Path) -> float:
-    half = meshes.read_mesh(path)
-    corners = half.positions[half.triangles]
-    return float(
-        0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    )
+def _area(mesh: Mesh) -> float:
+    corners = mesh.positions[mesh.triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(0.5 * np.linalg.norm(across, axis=1).sum())
 
 
 @pytest.mark.quick
@@ -118,6 +116,41 @@ def test_half_is_completed_and_lies_as_the_whole() -> None:
     assert np.all(half.mesh.positions[:, 0] >= 0.0)
     # The parting plane is the one along which the bottle is widest.
     np.testing.assert_allclose(np.ptp(whole.mesh.positions, axis=0)[:2], [27.0, 70.0], rtol=1e-3)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("cut", ["open", "solid", "neck"])
+def test_a_half_is_completed_however_it_lies(cut: str) -> None:
+    """A half that is open, closed by a face, or open at the neck, too: as the upright whole, where it is turned."""
+    upright, turn = _square(), molds.rotation(np.array([25.0, 40.0, 70.0]))
+    mesh = clip(upright, np.array([0.0, 1.0, 0.0]), 0.0, keep_below=False)
+    if cut == "solid":
+        edges = topology.boundary_edges(mesh.triangles)
+        positions = np.concatenate([mesh.positions, [[0.0, 0.0, 100.0]]])
+        face = np.insert(edges[:, ::-1], 2, len(mesh.positions), axis=1).astype(np.int32)
+        mesh = Mesh(positions, np.concatenate([mesh.triangles, face]), {})
+    if cut == "neck":
+        mesh = clip(mesh, np.array([0.0, 0.0, 1.0]), 214.9, keep_below=True)
+    # As a file in single precision has it.
+    places = (mesh.positions @ turn.T + [310.0, -45.0, 12.0]).astype(np.float32).astype(float)
+    found, axis, _, low, end = find_outside(meshes.weld(Mesh(places, mesh.triangles, {})))
+    np.testing.assert_allclose(axis, turn[:, 2], atol=1e-3)
+    whole = find_outside(upright)
+    np.testing.assert_allclose(end - low, whole[4] - whole[3], rtol=2e-3)
+    np.testing.assert_allclose(_area(found), _area(whole[0]), rtol=2e-3)
+    assert len(topology.boundary_edges(found.triangles)) > 0 and topology.count_handles(found.triangles) == 0
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("rotate", [(0.0, 0.0, 0.0), (25.0, 40.0, 70.0)])
+def test_a_can_with_flat_sides_is_no_half_and_a_handle_does_not_tilt_the_axis(rotate: tuple[float, ...]) -> None:
+    turn = molds.rotation(np.array(rotate))
+    can = loft([(0, 60, 40, 1e-9), (150, 60, 40, 1e-9), (155, 16, 16, 1), (175, 16, 16, 1)])
+    for mesh, along, length in ((can, 2, 175.0), (with_handle(), 1, 230.0)):
+        found, axis, _, low, end = find_outside(meshes.weld(Mesh(mesh.positions @ turn.T, mesh.triangles, {})))
+        np.testing.assert_allclose(axis, turn[:, along], atol=5e-3)
+        np.testing.assert_allclose(end - low, 0.99 * length, rtol=5e-3)
+        assert np.ptp(found.positions @ turn, axis=0)[0] < 130.0, "not mirrored at a side"
 
 
 @pytest.mark.quick
