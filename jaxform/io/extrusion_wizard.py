@@ -21,18 +21,20 @@ Array = NDArray[np.float64]
 
 HALF = "half.stl"
 _FIT, _WIDE_FIT = 0.8, 0.92  # radius of the parison over that of the neck; the second for a bottle with a handle
-_ELEMENTS, _MORE = 2000, 3000  # the second for a bottle with a handle
+_ELEMENTS, _MORE, _MANY = 2000, 3000, 6000  # the second for a bottle with a handle, the third for one farther away
 _WALL = 0.025  # mean wall of the bottle over the radius of a cylinder of its length and area
 _SHARE = 0.4  # of the parison's radius, that it is thick at most
 _TAIL, _LAND = 0.12, 0.2  # of the bottle's length: parison below the bottom, and the land's width
 _GAP = 0.15  # of the parison's radius, between it and the mold half at first
-_REACH = 0.2  # of a handle's width, over which the flattened parison is to lie
+_REACH, _COVER = 0.2, 0.67  # of a handle's width, over which the flattened parison lies at least, and is to lie
+_WITHIN = 0.95  # of the bottle's width beside its axis, that the flattened parison reaches at most
+_BELOW = 0.002  # of the length, between the end of a parison that is wider than the neck and that of the mold
 _ABOVE = 1e-4  # of the length, between the mold and the blow pin
 _C, _DENSITY = 2.0e5, 950.0  # of the placeholder
 _SUPPORT, _BLOW, _LEAST = 0.07, 28.0, 8.0e5  # air, over c h / r; and the blow in Pa at least
 # The air when the halves meet. A tube that cannot become longer is blown up without limit by 2 (1 + alpha) c h / r, here
-# 3: less leaves it narrower than the cavity, and only a handle needs more.
-_SPREAD, _WIDE_SPREAD = 2.5, 3.5
+# 3: less leaves it narrower than the cavity, and only a parison that is narrow for a handle needs more.
+_SPREAD, _HANDLE_SPREAD, _WIDE_SPREAD = 2.5, 3.5, 2.0
 
 
 def draft_extrusion(
@@ -57,7 +59,7 @@ def draft_extrusion(
     surface, units, extent = read_bottle(paths, scale)
     half = bottles.find_bottle(surface)
     holes = _find_holes(half)
-    radius = round_digits((_WIDE_FIT if holes else _FIT) * half.neck)
+    radius = _choose_radius(half, holes)
     gain = half.area / (math.pi * radius * half.length)
     usual = _WALL * half.area / (math.pi * half.length) * gain
     thick = choose_thickness(thickness, min(usual, _SHARE * radius), radius, "the radius of the parison")
@@ -90,6 +92,17 @@ def _find_holes(half: BottleHalf) -> list[tuple[float, float, float]]:
     return found
 
 
+def _choose_radius(half: BottleHalf, holes: list[tuple[float, float, float]]) -> float:
+    """The parison's radius [m]: within the neck, or wider where a handle is farther away than such a one reaches."""
+    usual = (_WIDE_FIT if holes else _FIT) * half.neck
+    reach = max((inner + _REACH * (outer - inner) for _, inner, outer in holes), default=0.0)
+    if 0.5 * math.pi * usual >= reach:
+        return round_digits(usual)
+    wanted = max(inner + _COVER * (outer - inner) for _, inner, outer in holes)
+    beside = float(np.abs([half.mesh.positions[:, 1].min(), half.mesh.positions[:, 1].max()]).min())
+    return round_digits(max(usual, min(wanted, _WITHIN * beside) / (0.5 * math.pi)))
+
+
 def _warn_of_handles(holes: list[tuple[float, float, float]], radius: float) -> None:
     """Warns of handles that the flattened parison, which is a tube of a radius [m], does not reach."""
     reach = 0.5 * math.pi * radius
@@ -113,9 +126,10 @@ def _describe(half: BottleHalf, radius: float, thickness: float, wall: float, ho
     holes = f", with {hole_count} hole{'s' if hole_count > 1 else ''} beside a handle" if hole_count else ""
     size = f"{1e3 * half.length:.3g} mm long and {1e3 * wide:.3g} mm wide"
     yield f"it is {size}, with a neck of {2e3 * half.neck:.3g} mm{holes}"
+    wider = ", wider than the neck, to reach the handle," if radius > half.neck else ","
     mass = 2e3 * _DENSITY * math.pi * radius * half.length * (1.0 + _TAIL) * thickness
     yield (
-        f"parison: {2e3 * radius:.3g} mm wide, {1e3 * thickness:.3g} mm thick, {mass:.3g} g with its flash; "
+        f"parison: {2e3 * radius:.3g} mm wide{wider} {1e3 * thickness:.3g} mm thick, {mass:.3g} g with its flash; "
         f"for a mean wall of {1e3 * wall:.2g} mm"
     )
     yield "guessed: parison, closing, air and times; the material is a placeholder"
@@ -125,18 +139,24 @@ def _scene(paths: Sequence[Path], half: BottleHalf, radius: float, thickness: fl
     """The scene file, of a parison of this radius and thickness [m]."""
     tail, wide = _TAIL * half.length, _LAND * half.length
     gap = round_digits((1.0 + _GAP) * radius)
-    air, spread = _C * thickness / radius, _WIDE_SPREAD if has_handle else _SPREAD
+    is_wide = radius > half.neck
+    air, spread = _C * thickness / radius, _HANDLE_SPREAD if has_handle else _SPREAD
+    elements = _MORE if has_handle else _ELEMENTS
+    if is_wide:
+        spread, elements = _WIDE_SPREAD, _MANY
     low, high = half.mesh.positions.min(0), half.mesh.positions.max(0)
     width = float(high[1] - low[1]) + 2.0 * wide
     values = {
         "name": inline(Path(paths[0]).stem),
         "file": paths[0].name,
         "radius": f"{radius:.6g}",
-        "elements": str(_MORE if has_handle else _ELEMENTS),
-        "length": f"{half.length + tail:.6g}",
+        "elements": str(elements),
+        "length": f"{half.length * (1.0 - _BELOW * is_wide) + tail:.6g}",
+        "end": "guided" if is_wide else "clamped",
+        "held": "both are pinched: it is wider than the neck" if is_wide else "the machine holds the upper end",
         "thickness": f"{thickness:.6g}",
         "pressure": inline([0.0, *(round_digits(air * share) for share in (_SUPPORT, spread))])[:-1]
-        + f", {round_digits(max(_LEAST, _BLOW * air)):.6g}]",
+        + f", {round_digits(max((1.0 + 0.5 * is_wide) * _LEAST, _BLOW * air)):.6g}]",
         "half": HALF,
         "land": f"{wide:.6g}",
         "gap": f"{gap:.6g}",
@@ -168,7 +188,7 @@ radius = <radius>
 length = <length>
 elements = <elements>
 symmetry = "half"
-ends = ["guided", "clamped"]  # the machine holds the upper end
+ends = ["guided", "<end>"]  # <held>
 thickness = <thickness>  # m
 
 # A placeholder: `jaxform fit` fits the parameters to your tests.

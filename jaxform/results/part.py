@@ -38,6 +38,15 @@ def part_elements(result: Result, scene: Scene) -> Any:
     return mine
 
 
+def rim_elements(result: Result, scene: Scene) -> Any:
+    """Mask of the elements (n_element,) that span the rim of the part by contact: some nodes in it, others not."""
+    part = scene.part
+    if part is None or not part.by_contact:
+        return jnp.zeros(len(result.triangles), bool)
+    of_corners = _shares(result, scene, part)[jnp.asarray(result.triangles)] > 0
+    return of_corners.any(1) & ~of_corners.all(1)
+
+
 def _shares(result: Result, scene: Scene, part: Part) -> Any:
     """Assignment of nodes to the part (n_node,): 1 on its triangles of mold and tools, -1 on others and where clamped.
 

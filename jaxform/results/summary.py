@@ -19,7 +19,7 @@ from jaxform.mesh.topology import components
 from jaxform.model.replacement import describe_out_of_range
 from jaxform.model.scene import Scene
 from jaxform.results.filling import measure_filling, mold_offset, warnings_of_filling
-from jaxform.results.part import restrict_to_part, thinnest_element, warnings_of_part
+from jaxform.results.part import restrict_to_part, rim_elements, thinnest_element, warnings_of_part
 from jaxform.results.recovery import thinnest_recovered
 from jaxform.results.result import Energy, Result, Seconds, warnings_of_no_work
 from jaxform.results.sections import symmetry_planes
@@ -323,7 +323,14 @@ def _warnings_of_depth(result: Result, scene: Scene, beyond: Penetration, name: 
     size = float(np.ptp(np.asarray(scene.parison.positions), axis=0).max())
     if beyond.nodes <= _NODES_BEYOND * size and beyond.elements <= _ELEMENTS_BEYOND * side:
         walls = np.asarray(result.element_thickness, float)[np.asarray(result.used)]
-        return _warnings_of_cut_edges(beyond, corners, walls, name)
+        found = _warnings_of_cut_edges(beyond, corners, walls, name)
+        rim = np.asarray(rim_elements(result, scene)) if found and name == "the mold" else np.zeros(1, bool)
+        if not rim.any():
+            return found
+        # Where sheet is cut off along an edge, as flash at a cavity's rim, elements span it; the others are judged.
+        inner = dataclasses.replace(result, used=np.asarray(result.used) & ~rim)
+        corners, walls = corners[~rim[np.asarray(result.used)]], walls[~rim[np.asarray(result.used)]]
+        return _warnings_of_cut_edges(measure_penetration(inner, scene), corners, walls, name)
     return [
         f"the sheet penetrates {name}, by up to {beyond.elements:.3g} m at {format_place(beyond.place)}: it hangs "
         f"over its rim, or its elements are too large for an edge; {_remedy_of_depth(name)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,9 +56,16 @@ def loft(sections: Sequence[Sequence[float]]) -> Mesh:
     return Mesh(np.concatenate([*rings, middles]), triangles.astype(np.int32), {})
 
 
-def with_handle() -> Mesh:
+WAIST = [(0, 20, 20, 0.7), (2, 27, 27, 0.5), (6, 31, 31, 0.42), (60, 32, 32, 0.38), (80, 28, 28, 0.41)]
+WAIST += [(95, 25, 25, 0.44), (110, 28, 28, 0.41), (130, 32, 32, 0.38), (172, 32, 32, 0.38), (186, 24, 24, 0.65)]
+WAIST += [(201, 14, 14, 1), (206, 13, 13, 1), (228, 13, 13, 1)]
+NEAR = {"neck_radius": 0.018, "hole_center": [0.0085, 0.152], "handle_edge": 0.03, "element_size": 0.005}
+FAR = {"neck_radius": 0.012, "element_size": 0.005}
+
+
+def with_handle(**sizes: Any) -> Mesh:
     """The whole of the bottle with a handle, closed at its neck, along y."""
-    half = molds.bottle_half(neck_radius=0.018, hole_center=[0.0085, 0.152], handle_edge=0.03, element_size=0.005)
+    half = molds.bottle_half(**(sizes or NEAR))
     image = Mesh(half.vertices * [1, 1, -1], half.triangles[:, ::-1], {})
     whole = meshes.weld(meshes.merge([Mesh(half.vertices, half.triangles, {}), image]))
     rim = np.insert(topology.boundary_edges(whole.triangles), 2, len(whole.positions), axis=1)
@@ -66,8 +74,10 @@ def with_handle() -> Mesh:
 
 
 def _bottle(kind: str) -> Mesh:
-    if kind == "handle":
-        return with_handle()
+    if kind == "far handle":
+        return with_handle(**FAR)
+    if kind == "waist":
+        return loft(WAIST)
     if kind == "half":
         return clip(_square(), np.array([0.0, 1.0, 0.0]), 0.0, keep_below=False)
     shape = molds.revolved(profile=ROUND if kind == "round" else HOLLOW, segments=48)
@@ -81,7 +91,7 @@ def _new(folder: Path, bottle: Mesh, *more: str) -> int:
     return main(["new", str(folder / "new"), "--mold", mold, "--process", "extrusion-blow", "--quiet", *more])
 
 
-@pytest.mark.parametrize("kind", ["round", "half", pytest.param("handle", marks=pytest.mark.long)])
+@pytest.mark.parametrize("kind", ["waist", "half", pytest.param("far handle", marks=pytest.mark.long)])
 def test_scene_runs_the_first_time(tmp_path: Path, kind: str) -> None:
     assert _new(tmp_path, _bottle(kind)) == 0
     scene = jaxform.load(tmp_path / "new" / "scene.toml")  # warnings are errors here
@@ -89,6 +99,12 @@ def test_scene_runs_the_first_time(tmp_path: Path, kind: str) -> None:
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["status"] == "ok" and summary["warnings"] == [] and summary["contact_fraction"] > 0.99
     assert summary["flash_mass"] > 0.05 * summary["mass"]
+    # Beside the body nothing is pinched: the parison is narrower than the cavity when it closes.
+    boxes = np.array([piece["box"] for piece in summary["flash"]])
+    assert kind == "far handle" or np.ptp(boxes[:, :, 2], axis=1).max() < 0.06
+    # To reach a handle, it is wider than the neck.
+    wide = float(np.ptp(np.asarray(scene.parison.positions)[:, 1]))
+    assert (wide > 2.0 * FAR["neck_radius"]) == (kind == "far handle")
     # The part's mass is that of its mean wall on the mold, but for what corners leave open.
     assert scene.mold is not None
     mean = summary["mass"] / (950.0 * _area(meshes.read_mesh(tmp_path / "new" / "half.stl")))
@@ -171,7 +187,12 @@ def test_halves_that_differ_and_boxes_are_refused(tmp_path: Path, capsys: pytest
     assert not (tmp_path / "new").exists()
 
 
-def test_a_handle_beyond_the_parison_is_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    half = molds.bottle_half(neck_radius=0.01, element_size=0.006)
-    assert _new(tmp_path, Mesh(1e3 * half.vertices, half.triangles, {})) == 0
+def test_a_handle_that_no_parison_within_the_bottle_reaches_is_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh = with_handle(**FAR)
+    # The side without a handle, to which a parison may reach, is no wider than the neck.
+    x, y, z = mesh.positions.T
+    places = np.stack([np.maximum(x, -12.0 - 0.01 * np.abs(x)), y, z], axis=1)
+    assert _new(tmp_path, Mesh(places, mesh.triangles, {})) == 0
     assert "the handle may stay empty" in capsys.readouterr().err
