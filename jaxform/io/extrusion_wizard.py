@@ -32,8 +32,8 @@ _BELOW = 0.002  # of the length, between the end of a parison that is wider than
 _ABOVE = 1e-4  # of the length, between the mold and the blow pin
 _C, _DENSITY = 2.0e5, 950.0  # of the placeholder
 _SUPPORT, _BLOW, _LEAST = 0.07, 28.0, 8.0e5  # air, over c h / r; and the blow in Pa at least
-# The air when the halves meet. A tube that cannot become longer is blown up without limit by 2 (1 + alpha) c h / r, here
-# 3: less leaves it narrower than the cavity, and only a parison that is narrow for a handle needs more.
+# The air when the halves meet. A tube that cannot become longer is blown up without limit by 2 (1 + alpha) c h / r,
+# here 3: less leaves it narrower than the cavity, and only a parison that is narrow for a handle needs more.
 _SPREAD, _HANDLE_SPREAD, _WIDE_SPREAD = 2.5, 3.5, 2.0
 
 

@@ -178,8 +178,8 @@ def find_degenerate(positions: NDArray[np.float64], triangles: NDArray[np.intege
 def drop_fins(mesh: Mesh) -> Mesh:
     """Drops fins of a welded surface: two triangles of the same nodes, back to back, on an edge of two others.
 
-    Programs that make a mesh coarser leave them. `drop_degenerate` would leave one of the two, and the surface no longer
-    closed. A surface of which all triangles are given from both sides remains.
+    Programs that make a mesh coarser leave them. `drop_degenerate` would leave one of the two, and the surface no
+    longer closed. A surface of which all triangles are given from both sides remains.
     """
     triangles = mesh.triangles
     _, _, same, count = distinct_rows(np.sort(triangles, axis=1))

@@ -9,8 +9,13 @@ import numpy as np
 import jaxform
 
 
-def assert_slopes_are_differences(scene: jaxform.Scene, values: dict[str, jax.Array], least: float) -> None:
-    """Asserts that slopes by numbers at paths of a scene equal differences to 1e-5, and are larger than the least."""
+def assert_slopes_are_differences(
+    scene: jaxform.Scene, values: dict[str, jax.Array], least: float, relative_step: float = 1e-5
+) -> None:
+    """Asserts that slopes by numbers at paths of a scene equal differences to 1e-5, and are larger than the least.
+
+    The step is relative to the numbers; a small one meets no change of the order in which nodes come into contact.
+    """
     base = jaxform.run(scene)
     assert int(base.status) == 0
     weight = jnp.asarray(np.random.default_rng(1).normal(size=base.positions.shape))
@@ -23,7 +28,7 @@ def assert_slopes_are_differences(scene: jaxform.Scene, values: dict[str, jax.Ar
     slopes = both(values)[1]
     for path, present in values.items():
         way = jnp.resize(jnp.asarray([0.0, 1.0, -0.5, 0.8]), present.shape) if present.ndim else 1.0
-        step = 1e-5 * float(jnp.abs(present).max())
+        step = relative_step * float(jnp.abs(present).max())
         ahead, behind = (both({**values, path: present + sign * step * way})[0] for sign in (1.0, -1.0))
         found = float(jnp.sum(slopes[path] * way))
         assert abs(found) > least, path
