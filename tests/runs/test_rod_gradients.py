@@ -26,7 +26,7 @@ time = [0.0, 0.02, 0.03, 0.05]
 mass_flow = [0.0, 1.0e-4, 1.0e-4, 0.0]
 supply_pressure = 4.0e5
 orifice_area = 1.0e-5
-valve = [0.0, 0.0, 0.5, 1.0]
+valve = [0.01, 0.01, 0.5, 0.9]
 dead_volume = 5.0e-6
 [mold]
 shape = "revolved"
