@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import jaxform
 from tests.loads.slopes import assert_slopes_are_differences
@@ -48,6 +49,7 @@ damping = 200.0
 """
 
 
+@pytest.mark.long
 def test_gradients_of_rod_valve_flow_and_thickness_are_those_of_differences(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(_SCENE)
     scene = jaxform.load(tmp_path / "scene.toml")
