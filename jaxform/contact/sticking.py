@@ -380,9 +380,9 @@ def _place_on_surface(
     if frame is not None:
         after, velocities = jnp.stack(frame.places(after)), jnp.stack(frame.speeds(velocities))
     before = after - now.length * velocities
-    point, fall, beta = _landing_point(before, after, mold, jnp.maximum(chosen, 0), lands)
+    point, above, beta = _landing_point(before, after, mold, jnp.maximum(chosen, 0), lands)
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
-    wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)
+    wall = jnp.where(above < 0, -1, 1) * (chosen + 1)
     loss = 0.5 * mass * dot(velocities, velocities)
     impact = landing.impact
     if impact is not None:
@@ -433,7 +433,10 @@ def _place_on_surface(
 def _landing_point(
     before: jax.Array, after: jax.Array, mold: Mold, triangle: jax.Array, lands: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """M of the paper's Eq. 9, (3, n_node) [m], differentiable in the path and the mold; fall [m], beta (n_node,)."""
+    """M of the paper's Eq. 9, (3, n_node) [m], differentiable in the path and the mold.
+
+    Also the height of the path's begin over the triangle (n_node,), of which the sign alone counts, and beta (n_node,).
+    """
     d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
     edge1, edge2 = e - d, f - d
     normal = cross(edge1, edge2)
@@ -443,4 +446,5 @@ def _landing_point(
     crosses = lands & (fall != 0.0)
     ratio = height / jnp.where(crosses, fall, 1.0)
     beta = jnp.where(crosses, jnp.clip(ratio, 0.0, 1.0), 0.0)
-    return before + beta[None] * (after - before), fall, beta
+    # A node that touches the plane, but does not cross it, is on the side on which it begins, whichever way it goes.
+    return before + beta[None] * (after - before), jnp.where(height != 0.0, height, fall), beta

@@ -19,7 +19,7 @@ from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics.elements import Nodes
 from jaxform.mechanics.membrane import dot, minus, unstack_rows, vector
 from jaxform.tools.mold import ToolFrame
-from jaxform.tools.search import build_grid
+from jaxform.tools.search import build_grid, touch_distance
 from jaxform.tools.surface_walk import ContactSurface, Glide, facets, move_along, signed_neighbors
 
 
@@ -133,6 +133,23 @@ def test_a_node_that_slides_does_not_pass_another_part_of_its_tool(apart: bool) 
     assert float(landed.nodes.positions[0][0]) == (1.0 if apart else pytest.approx(1.005))
     assert int(abs(landed.nodes.wall[0])) in ((3, 4) if apart else (1,))
     assert float(landed.nodes.velocities[0][0]) == (0.0 if apart else 1.0)
+
+
+@pytest.mark.parametrize("law", ["slide", "stick"])
+def test_a_node_that_touches_without_crossing_stays_on_its_side(law: str) -> None:
+    surface = _surface(*_square(), jaxform.make_contact_law(law))
+    # Half the distance of a touch above and below; it goes up, goes down without crossing, and crosses.
+    touch, step = float(touch_distance(surface.grid)), 1e-3
+    height = 0.5 * touch * np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    rise = touch / step * np.array([0.2, -0.2, -2.0, 0.2, -0.2, 2.0])
+    begin, speed = (jnp.asarray(np.stack([np.full(6, 0.5), np.full(6, 0.1), z])) for z in (height, rise))
+    none = jnp.zeros(6, jnp.int32)
+    nodes = Nodes(begin + step * speed, speed, none > 0, -jnp.ones(6), none, None, {})
+    landing = sticking.Landing(nodes, none + 9, as_real(0.0))
+    now = sticking.ContactStep(jnp.asarray(step), jnp.asarray(step), jnp.int32(0))
+    masses = jnp.ones(6), jnp.ones((3, 6))
+    landed = sticking.place_on_surfaces(landing, now, masses, (surface,), none, differentiable=False)
+    np.testing.assert_array_equal(landed.nodes.wall, np.sign(height))
 
 
 def test_a_step_within_a_triangle_is_that_of_the_walk_over_triangles() -> None:
