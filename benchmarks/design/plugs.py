@@ -167,7 +167,7 @@ def animate(scenes: Sequence[Scene], path: Path) -> None:
             axes = figure.add_axes((0.45 * k, 0.02, 0.44, 0.8))
             now = seen[int(np.argmin([abs(one[0] - time) for one in seen]))]
             draw_cup(axes, scene, now, colors)
-            head = f"{('before', 'designed')[k]}: coefficient of variation {100 * evenness[k]:.0f} %"
+            head = f"{('before', 'after')[k]}: coefficient of variation {100 * evenness[k]:.0f} %"
             figure.text(0.45 * k + 0.22, 0.93, head, ha="center", fontsize=10, weight="bold")
             figure.text(0.45 * k + 0.22, 0.87, settings_of(scene), ha="center", fontsize=9)
         figure.text(0.445, 0.05, f"{time:.2f} s", ha="center", fontsize=10)
