@@ -143,13 +143,16 @@ def _hold_rung(rung: jax.Array, state: PackedState, scene: Scene) -> jax.Array:
 
     Every change of the step changes the energy of the fast modes, which nothing takes away; and since the step falls
     where the sheet is stiff and rises where it is soft, a sheet that swings would gain energy in every period. So as
-    long as nothing sticks to a tool, and no tool moves, the step never rises.
+    long as nothing sticks to a tool and no tool moves, the step never rises. Where a gas fills a sheet that is damped,
+    it rises, for a gas of little volume is much stiffer than that of the sheet when it has been blown up.
     """
     before = state.control.rung
     longer = (rung > before) & (before > 0.0)
-    if scene.surfaces:
-        rises = rung > jnp.exp2(_RISE_RUNGS / RUNGS_PER_OCTAVE) * before
-        longer &= ~rises if scene.moves else ~(rises & jnp.any(state.nodes.stuck & (state.nodes.wall != 0)))
+    rises = rung > jnp.exp2(_RISE_RUNGS / RUNGS_PER_OCTAVE) * before
+    if scene.moves or (scene.pressure.follows_volume and scene.solver.damping is not None):
+        longer &= ~rises
+    elif scene.surfaces:
+        longer &= ~(rises & jnp.any(state.nodes.stuck & (state.nodes.wall != 0)))
     return jnp.where(longer, before, rung)
 
 

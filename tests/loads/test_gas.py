@@ -217,3 +217,19 @@ def test_a_gas_at_ambient_pressure_pushes_nowhere_at_first() -> None:
         pushes = gas.pushes(1.0, 0.0)
         assert pushes[0] == 0.0
         np.testing.assert_allclose(pushes[1:], 1e-3 * 287.06 * 293.15 / volume * np.linspace(0, 1, len(pushes))[1:])
+
+
+def test_steps_of_a_stiff_gas_become_longer_with_its_volume() -> None:
+    """The step of a gas of nearly no volume is short, too short for damping to tell in it, and does not stay so."""
+    sheet = shapes.disc(radius=1.0, elements=30, symmetry="quarter")
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_gas(
+            [0.0], 0.02, dead_volume=1e-9, gas_constant=1.0, temperature=1.0, ambient_pressure=1.0
+        ),
+        solver=jaxform.make_solver(end_time=1.0, damping=1.0, max_steps=20_000),
+    )
+    formed = jaxform.run(scene)
+    assert int(formed.status) == 0
+    assert int(formed.steps) < 500  # 1408 where it rises only when it damps enough
