@@ -145,9 +145,11 @@ def _parser() -> argparse.ArgumentParser:
 
 def _scenes(_: argparse.Namespace) -> int:
     uses: dict[catalog.Kind, str] = {"scene": "simulate", "study": "optimize"}
+    listed = {kind: catalog.descriptions(kind) for kind in uses}
+    width = max(len(name) for names in listed.values() for name in names)
     for kind, use in uses.items():
-        for name, words in catalog.descriptions(kind).items():
-            session.say(f"{name:20} {kind:6} jaxform {use} {name:18}  {words}")
+        for name, words in listed[kind].items():
+            session.say(f"{name:{width}}  {kind}  jaxform {use} {name:{width}}  {words}")
     return session.DONE
 
 

@@ -15,7 +15,7 @@ from jaxform.core.pytree import as_real
 from jaxform.loads import Gas, list_gases
 from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
-from jaxform.mesh import topology
+from jaxform.mesh import topology, volumes
 from jaxform.model.scene import ContactSurface, Scene
 from jaxform.tools.crossings import nodal_normals, proper_crossings
 from jaxform.tools.distances import Distances
@@ -339,7 +339,7 @@ def _warn_of_surroundings(scene: Scene, cooling: Cooling, temperature: np.ndarra
 
 
 def _warn_of_gas(scene: Scene, gas: Gas, key: str, file: str) -> None:
-    """Warns of a gas with a temperature like degC, pressures like bar, areas like mm^2 or a volume like cm^3."""
+    """Warns of numbers of a gas in other units than SI, and of a mass flow that takes out all of it."""
     size = float(
         np.ptp(np.concatenate([_used_places(scene), *(one.mold.vertices for one in scene.surfaces)]), axis=0).max()
     )
@@ -353,6 +353,12 @@ def _warn_of_gas(scene: Scene, gas: Gas, key: str, file: str) -> None:
         if (0.0 < value < limit) if name in least else value > limit:
             problem = f"is very {'small' if name in least else 'large'}: is it in {likely}?"
             warn_of(problem, f"give {unit}", key=f"{key}.{name}", value=value, file=file)
+    enclosed = volumes.enclosed_volume(np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles))
+    pressures = gas.pushes(float(scene.solver.end_time), enclosed) * (1.0 if gas.closed_by == "clamp" else -1.0)
+    if float(gas.mass_flow.min()) < 0.0 and pressures.min() <= -float(gas.ambient_pressure):
+        problem = "takes out all of the gas before the run ends: its absolute pressure is 0 from then on"
+        value = np.asarray(gas.mass_flow, float).tolist()
+        warn_of(problem, "take out less (kg/s)", key=f"{key}.mass_flow", value=value, file=file)
 
 
 def _warn_of_motion(scene: Scene, file: str) -> None:

@@ -96,7 +96,8 @@ class Gas(Loading):
             energy = state * self._specific_energy
         else:
             energy = (state + self.inflow(time)) * self.gas_constant * self.temperature
-        gauge = energy / self.gas_volume(volume) - self.ambient_pressure
+        # A pump takes no more gas than there is.
+        gauge = jnp.maximum(energy, 0.0) / self.gas_volume(volume) - self.ambient_pressure
         return gauge if self.closed_by == "clamp" else -gauge
 
     def pushes(self, end_time: float, volume: float) -> np.ndarray:
@@ -170,7 +171,7 @@ class Gas(Loading):
         rate, slope = jax.jvp(flow, (mass,), (jnp.ones_like(mass),))
         ends = jnp.stack([mass, *(outside * volume / self._specific_energy for outside, _ in openings)])
         low, high = ends.min() + jnp.minimum(blown, 0.0) * length, ends.max() + jnp.maximum(blown, 0.0) * length
-        return jnp.clip(mass + rate * length * mean_decay(-slope * length), low, high)
+        return jnp.clip(mass + rate * length * mean_decay(-slope * length), jnp.maximum(low, 0.0), high)
 
     def _after_without_heat(self, state: MassAndHeat, interval: Interval) -> MassAndHeat:
         """The state at the end of an interval: half of the change of volume, then the flow, then the other half."""
@@ -192,7 +193,7 @@ class Gas(Loading):
 
         def rates(state: MassAndHeat) -> MassAndHeat:
             mass, heat = state
-            temperature = heat / mass
+            temperature = _ratio(heat, mass)
             total, gained = blown, blown * jnp.where(blown > 0.0, self.temperature, temperature)
             if openings:
                 inside = heat * self.gas_constant / volume
@@ -210,8 +211,10 @@ class Gas(Loading):
         )
         ends = jnp.stack([old_heat, *(outside * volume / self.gas_constant for outside, _ in openings)])
         more = k * blown * length
-        low = ends.min() + jnp.minimum(more, 0.0) * old_heat / old_mass
-        return mass, jnp.clip(heat, low, ends.max() + jnp.maximum(more, 0.0) * self.temperature)
+        low = jnp.maximum(ends.min() + jnp.minimum(more, 0.0) * _ratio(old_heat, old_mass), 0.0)
+        # Of a gas that is taken out, what is left has no more heat than it has mass for.
+        heat = jnp.where(mass > 0.0, jnp.clip(heat, low, ends.max() + jnp.maximum(more, 0.0) * self.temperature), 0.0)
+        return jnp.maximum(mass, 0.0), heat
 
 
 def _ratio(part: jax.Array, whole: jax.Array) -> jax.Array:

@@ -300,6 +300,7 @@ def test_scenes_lists_all_and_each_can_be_checked(capfd: pytest.CaptureFixture[s
     text = capfd.readouterr().out
     for name in ("dish", "dish-coarse", "bowl", "dish-uniform-wall"):
         assert name in text
+    assert len({line.index("jaxform") for line in text.splitlines()}) == 1, "columns are aligned"
     for name in ("dish", "bowl"):
         assert command.main(["check", name]) == 0
 

@@ -233,3 +233,13 @@ def test_steps_of_a_stiff_gas_become_longer_with_its_volume() -> None:
     formed = jaxform.run(scene)
     assert int(formed.status) == 0
     assert int(formed.steps) < 500  # 1408 where it rises only when it damps enough
+
+
+@pytest.mark.parametrize("adiabatic", [False, True])
+@pytest.mark.parametrize("vent", [None, 1e-9])
+def test_no_more_gas_is_taken_out_than_there_is(adiabatic: bool, vent: float | None) -> None:
+    """The absolute pressure of what is left is not below 0; the air in a volume of 1 m^3 has a mass of 1.2 kg."""
+    gas = jaxform.make_gas([0.0], -2.0, dead_volume=1.0, adiabatic=adiabatic, vent_area=vent)
+    pressures = gas.pushes(1.2, 0.0)
+    assert np.all(np.isfinite(pressures)) and pressures.min() >= -101325.0
+    assert pressures[-1] == pytest.approx(-101325.0, rel=1e-3)
