@@ -77,7 +77,7 @@ def test_a_strip_that_is_let_go_oscillates_as_a_bar() -> None:
     assert np.asarray(result.stuck).sum() == 2
 
 
-def _draped(parison: jaxform.Parison) -> jaxform.Scene:
+def _drape_scene(parison: jaxform.Parison) -> jaxform.Scene:
     """A pre-stretched sheet that is blown against a plate, and let go while the pressure is highest."""
     plate = molds.revolved(profile=[[0.0, 0.012], [0.07, 0.012]], segments=24)
     pressure = jaxform.make_pressure([0.0, 0.02, 0.03], [0.0, 2e4, 0.0])
@@ -86,7 +86,7 @@ def _draped(parison: jaxform.Parison) -> jaxform.Scene:
 
 
 def test_a_sheet_let_go_over_a_mold_has_exact_gradients() -> None:
-    scene = _draped(_disc(1.05))
+    scene = _drape_scene(_disc(1.05))
     result = jaxform.run(scene)
     landed, rim = np.asarray(result.contact_time), np.asarray(scene.parison.clamped)
     assert int(result.status) == 0 and float(result.energy.balance_error) < 5e-3
