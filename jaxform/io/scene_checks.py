@@ -438,8 +438,9 @@ def warn_of_thin_features(scene: Scene, file: str = "") -> None:
         f"{found.width:.2g} m wide, and elements have sides of {side:.2g} m: it may pass through the "
         "sheet between its nodes"
     )
-    remedy = f"make the elements smaller (parison.element_size = {0.5 * found.width:.1g}), or refine near the mold"
-    warn_of(problem, f"{remedy} ([refinement])", key="mold", file=file)
+    smaller = f"make the elements smaller (parison.element_size = {0.5 * found.width:.1g})"
+    remedy = f"{smaller}, set solver.edge_contact = true, or refine near the mold ([refinement])"
+    warn_of(problem, remedy, key="mold", file=file)
 
 
 def finest_side(scene: Scene) -> float:

@@ -215,7 +215,7 @@ def test_numbers_of_the_gas_are_scaled_by_the_keys_of_the_file(tmp_path: Path) -
         path = key.replace("gas", "pressure")
         np.testing.assert_allclose(variable.changes(free)[path], 2.0 * np.asarray(present))
         np.testing.assert_allclose(variable.document(free)[key], 2.0 * np.asarray(present))
-    with pytest.raises(jaxform.InputError, match=r"variable\.of = .gas\.flow.*no number of the scene"):
+    with pytest.raises(jaxform.InputError, match=r"variable\.of = .gas\.flow.*not a number of the scene"):
         Scale(scene, of="gas.flow", bounds=(0.5, 2.0))
 
 
