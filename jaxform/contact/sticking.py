@@ -77,12 +77,18 @@ class Landing(NamedTuple):
 
 
 class ContactStep(NamedTuple):
-    """A step: its length [s], the time at its end [s], its number in the window, and the frames of the surfaces."""
+    """A step: its length [s], the time at its end [s], its number in the window, and the frames of the surfaces.
+
+    Where nodes land on curved paths, `curve` is the change of the nodes' velocities in the step times its length
+    (3, n_node) [m], and `damping` the solver's [1/s].
+    """
 
     length: jax.Array
     end: jax.Array
     number: jax.Array
     frames: tuple[ToolFrame | None, ...] = (None,)
+    curve: jax.Array | None = None
+    damping: jax.Array | None = None
 
 
 def apply_contact(
@@ -94,6 +100,7 @@ def apply_contact(
     surfaces: tuple[ContactSurface, ...],
     known: Sequence[jax.Array],
     room: FirstHits,
+    curve: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
 ) -> tuple[Landing, FirstHits]:
     """Moves the nodes that crossed a surface in this step to where they met it; not differentiable.
 
@@ -108,11 +115,12 @@ def apply_contact(
         surfaces: The surfaces.
         known: Nodes in contact with each surface, from `touches_already`.
         room: Workspace for the first hits, from `no_hits`. It is returned unchanged.
+        curve: Where nodes land on curved paths, `ContactStep.curve` of a node, from its number and velocity (3, 1).
     """
     count = sum(count for _, count in due)
     return lax_cond_once(
         jnp.asarray(count) > 0,
-        lambda both: _place_hit_nodes(*both, now, mass, candidates, due, surfaces, known),
+        lambda both: _place_hit_nodes(*both, now, mass, candidates, due, surfaces, known, curve),
         (landing, room),
     )
 
@@ -279,6 +287,7 @@ def _place_hit_nodes(
     due: Sequence[DueBlocks],
     surfaces: tuple[ContactSurface, ...],
     known: Sequence[jax.Array],
+    curve: Callable[[jax.Array, jax.Array], jax.Array] | None,
 ) -> tuple[Landing, FirstHits]:
     """The landing of the nodes that met a surface, one after the other, since they are few; not differentiable."""
     nodes, met = landing.nodes, room
@@ -314,7 +323,8 @@ def _place_hit_nodes(
         old, masses, triangle = materialize(
             (jax.tree.map(read_node, landing), jax.tree.map(read_node, mass), read_node(chosen))
         )
-        new = place_on_surfaces(old, now, masses, surfaces, triangle, differentiable=False)
+        this = now if curve is None else now._replace(curve=materialize(curve(node, old.nodes.velocities)))
+        new = place_on_surfaces(old, this, masses, surfaces, triangle, differentiable=False)
         nodes = dataclasses.replace(new.nodes, positions=unstack_rows(new.nodes.positions))
         landing = jax.tree.map(write_node, landing, new._replace(nodes=nodes))
         if record is not None:
@@ -409,6 +419,8 @@ def _place_on_surface(
             # A tool does not carry nodes out of a symmetry plane that it closes on.
             mobile = jnp.stack(mobile_components(compliance)) > 0.0
             point, new = jnp.where(mobile, point, after), jnp.where(mobile, new, velocities)
+    if now.curve is not None:
+        point, new, beta = _land_on_curve(before, after, now, mold, jnp.maximum(chosen, 0), lands)
     time = now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length
     return Landing(
         nodes=dataclasses.replace(
@@ -448,3 +460,34 @@ def _landing_point(
     beta = jnp.where(crosses, jnp.clip(ratio, 0.0, 1.0), 0.0)
     # A node that touches the plane, but does not cross it, is on the side on which it begins, whichever way it goes.
     return before + beta[None] * (after - before), jnp.where(height != 0.0, height, fall), beta
+
+
+def _land_on_curve(
+    before: jax.Array, after: jax.Array, now: ContactStep, mold: Mold, triangle: jax.Array, lands: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Position (3, n_node) [m] and velocity [m/s] after landing on a curved path, and beta (n_node,).
+
+    The path is the parabola with the accelerations of the step. Its end is the landing point M and, for one step, a
+    little more: (beta - beta^2) / 2 of the step's way, so that the mean position of the node over time, and with it
+    what it pulls its neighbours with, is that of a node that stops where it lands; the velocity returns it to M. So
+    neither depends on where in a step the landing is, to the second order.
+    """
+    assert now.curve is not None
+    d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
+    normal = cross(e - d, f - d)
+    height, way = dot(before - d, normal), after - before
+    fall, bend = -dot(way, normal), dot(now.curve, normal)
+    # The first root of height - beta fall + beta (beta - 1) / 2 bend, from the side on which the node is.
+    side = jnp.where(fall < 0.0, -1.0, 1.0)
+    height, slope, bend = side * height, side * (fall + 0.5 * bend), side * bend
+    square = jnp.square(slope) - 2.0 * height * bend
+    crosses = lands & (height > 0.0) & (square > 0.0)
+    root = slope + jnp.sqrt(jnp.where(crosses, square, 1.0))
+    crosses &= root > 0.0
+    beta = jnp.where(crosses, jnp.clip(2.0 * height / jnp.where(crosses, root, 1.0), 0.0, 1.0), 0.0)
+    point = before + beta * way + 0.5 * beta * (beta - 1.0) * now.curve
+    more = 0.5 * beta * (1.0 - beta) * (way + (beta - 0.5) * now.curve)
+    half = 0.0 if now.damping is None else 0.5 * now.damping * now.length
+    # A halted window goes on with steps of no length, in which nothing lands.
+    length = jnp.where(now.length > 0.0, now.length, 1.0)
+    return point + more, -(1.0 + half) / ((1.0 - half) * length) * more, beta

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -30,7 +30,10 @@ from jaxform.contact.broad_phase import (
 from jaxform.dynamics.edge_step import replay_sides, search_sides
 from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once, materialize, over_blocks
+from jaxform.mechanics.elements import gather_shares
+from jaxform.mechanics.membrane import gather, gather_columns
 from jaxform.model.scene import Scene
+from jaxform.sheet.scheme import add_gravity
 from jaxform.tools.mold import ToolFrame
 
 FAR = 1e4  # of the sheet's size: at such coordinates the run is diverging
@@ -91,6 +94,7 @@ def search_contact(
     data: WindowData,
     frames: tuple[ToolFrame | None, ...],
     over: jax.Array | None,
+    velocity_step: jax.Array,
 ) -> WindowState:
     """The window state after the contact search of one step; stale where a node is about to leave its sphere.
 
@@ -104,9 +108,10 @@ def search_contact(
         _active_pairs(moved, listed, scene, data, number, known[number], frames[number])
         for number, listed in enumerate(candidates)
     ]
-    flying, this = _free_flight(moved, length, data, frames)
+    flying, this = _free_flight(moved, length, scene, data, frames)
     due, mass = [blocks for blocks, _ in found], _masses(scene, data)
-    landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, known, moved.hits)
+    curve = _velocity_change(moved, (velocity_step, length), scene, data) if scene.lands_smoothly else None
+    landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, known, moved.hits, curve)
     missed = functools.reduce(operator.or_, [missed for _, missed in moved.last_checks])
     landed = dataclasses.replace(
         _apply_landing(moved, landing),
@@ -117,16 +122,42 @@ def search_contact(
     return landed if moved.held is None else search_sides(moved, landed, length, candidates, scene, data, frames)
 
 
+def _velocity_change(
+    moved: WindowState, steps: tuple[jax.Array, jax.Array], scene: Scene, data: WindowData
+) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    """A function for `ContactStep.curve` of nodes, from the forces in a step with this velocity_step and length [s].
+
+    The velocities before the step have been overwritten.
+    """
+    (velocity_step, length), slots, corners = steps, data.active.packed.elements.slots, moved.room
+    assert corners is not None
+
+    def change(node: jax.Array, velocity: jax.Array) -> jax.Array:
+        places = node[None]
+        mass, compliance = gather(data.active.mass, places), gather_columns(data.active.compliance, places)
+        shares = gather_shares(corners, (gather(slots, places), jnp.int32(len(slots))))
+        nodal = add_gravity(shares, mass, scene.solver.gravity)
+        gain = jnp.stack([velocity_step * f * c for f, c in zip(nodal, compliance, strict=True)])
+        half = 0.0 if scene.solver.damping is None else 0.5 * scene.solver.damping * velocity_step
+        # The velocity before is ((1 + half) v - gain) / (1 - half).
+        return length * (gain - 2.0 * half * velocity) / (1.0 - half)
+
+    return change
+
+
 def replay_contact(
     moved: WindowState,
+    before: jax.Array,
     length: jax.Array,
     scene: Scene,
     known: KnownContact,
     data: WindowData,
     frames: tuple[ToolFrame | None, ...],
 ) -> WindowState:
-    """The window state after the known contacts of one step; differentiable."""
-    flying, this = _free_flight(moved, length, data, frames)
+    """The window state after the known contacts of one step, with velocities `before` it [m/s]; differentiable."""
+    flying, this = _free_flight(moved, length, scene, data, frames)
+    if scene.lands_smoothly:
+        this = this._replace(curve=length * (moved.nodes.velocities - before))
     if known.record is None:
         lands = (known.step == this.number) & ~moved.nodes.stuck
         chosen = jnp.where(lands, known.chosen, -1)
@@ -146,7 +177,7 @@ def _masses(scene: Scene, data: WindowData) -> tuple[jax.Array, jax.Array | None
 
 
 def _free_flight(
-    moved: WindowState, length: jax.Array, data: WindowData, frames: tuple[ToolFrame | None, ...]
+    moved: WindowState, length: jax.Array, scene: Scene, data: WindowData, frames: tuple[ToolFrame | None, ...]
 ) -> tuple[sticking.Landing, sticking.ContactStep]:
     account = moved.account
     flying = sticking.Landing(
@@ -158,7 +189,8 @@ def _free_flight(
         moved.record,
         account.by_tool.work,
     )
-    return flying, sticking.ContactStep(length, data.begin + moved.count * data.length, moved.count - 1, frames)
+    end, damping = data.begin + moved.count * data.length, scene.solver.damping if scene.lands_smoothly else None
+    return flying, sticking.ContactStep(length, end, moved.count - 1, frames, damping=damping)
 
 
 def _apply_landing(moved: WindowState, landing: sticking.Landing) -> WindowState:

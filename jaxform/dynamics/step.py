@@ -119,10 +119,10 @@ def step(
     if moving.held is not None and contact is not None:
         moved = hold_sides_at_edges(moving, moved, (velocity_step, length), scene, data, frames)
     if isinstance(contact, KnownContact):
-        moved = replay_contact(moved, length, scene, contact, data, frames)
+        moved = replay_contact(moved, moving.nodes.velocities, length, scene, contact, data, frames)
     elif contact is not None:
         over = None if taken.slid is None else taken.slid.over
-        moved = search_contact(moved, length, contact, scene, data, frames, over)
+        moved = search_contact(moved, length, contact, scene, data, frames, over, velocity_step)
     elif moving.room is None:
         moved = dataclasses.replace(moved, halted=check_free_flight(moved, scene, data))
     moved = _add_rim_volume(moved, moving.halted, rim, data)
@@ -168,6 +168,18 @@ def _update_memory(moving: WindowState, remembered: HistoryUpdate | None) -> jax
     if remembered is None or moving.memory is None or moving.room is not None:
         return None if remembered is None else remembered[0]
     return jnp.where(moving.halted, moving.memory, remembered[0])
+
+
+def stop_landed_nodes(moving: WindowState, scene: Scene, data: WindowData) -> WindowState:
+    """A window's state at its end, with the nodes of the last step's landings at their landing points, and at rest."""
+    if not scene.lands_smoothly:
+        return moving
+    nodes, damping = moving.nodes, scene.solver.damping
+    half = 0.0 if damping is None else 0.5 * damping * data.length
+    back = jnp.where(nodes.stuck, (1.0 - half) / (1.0 + half) * data.length * nodes.velocities, 0.0)
+    velocities = jnp.where(nodes.stuck, 0.0, nodes.velocities)
+    at_rest = dataclasses.replace(nodes, positions=nodes.positions + back, velocities=velocities)
+    return dataclasses.replace(moving, nodes=at_rest)
 
 
 def finalize_history(moving: WindowState, scene: Scene, data: WindowData) -> WindowState:
@@ -278,6 +290,10 @@ def _advance_nodes(
         work = jnp.where(moving.halted, 0.0, work)
         by_tool = add_by_tool(by_tool, scene, own.tool, jnp.where(moving.halted, 0.0, done))
     positions = own.positions + length * jnp.stack(velocities)
+    if scene.lands_smoothly:
+        at_rest = own.stuck & ~moving.halted
+        velocities = [jnp.where(at_rest, 0.0, v) for v in velocities]
+        losses = None if losses is None else jnp.where(at_rest, 0.0, losses)
     rest, modes = None, data.losing
     if modes is not None and data.recursion is not None:
         rest = update_history(load, data.active.packed.elements, modes, data.recursion)
@@ -345,6 +361,9 @@ def _advance_nodes_in_blocks(
             sums = [done, *split_by_tool(done, tool, worked)]
             losses = None if losses is None else jnp.where(held, 0.0, losses)
         new = vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True))
+        if scene.lands_smoothly:
+            velocities = vector(jnp.where(nodes[0], 0.0, v) for v in velocities)
+            losses = None if losses is None else jnp.where(nodes[0], 0.0, losses)
         if not slides:
             new = materialize(new)
             return [*([x] for x in new), velocities], sums if losses is None else [losses, *sums]

@@ -23,7 +23,7 @@ from jaxform.contact.edge_contact import KnownSides
 from jaxform.contact.facet_slip import begin_facets
 from jaxform.dynamics.contact_step import any_missed, to_tool_frame
 from jaxform.dynamics.edge_step import list_sides
-from jaxform.dynamics.step import finalize_history, step
+from jaxform.dynamics.step import finalize_history, step, stop_landed_nodes
 from jaxform.dynamics.timestep import (
     RUNGS_PER_OCTAVE,
     StepChoice,
@@ -143,7 +143,7 @@ def _step_window(
         moving, searched = _replay_steps(state, scene, data, steps)
     else:
         moving, searched, lists = _advance(state, scene, data, steps, workspace, impacts)
-    moving = finalize_history(moving, scene, data)
+    moving = finalize_history(stop_landed_nodes(moving, scene, data), scene, data)
     begin = dataclasses.replace(
         state,
         nodes=dataclasses.replace(state.nodes, mode=mode),

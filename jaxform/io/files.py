@@ -206,6 +206,7 @@ def build_unchecked(document: SceneDocument, store: Store | None = None, sheet: 
                 quasi_static=solver.quasi_static,
                 self_contact=solver.self_contact,
                 edge_contact=solver.edge_contact,
+                smooth_landing=solver.smooth_landing,
                 max_steps=solver.max_steps,
             ),
             mold=find_mold(),

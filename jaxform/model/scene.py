@@ -80,6 +80,8 @@ class Solver:
             wall.
         self_contact: Whether films stick to each other that meet back to back in a fold, a web.
         edge_contact: Whether sides of elements are held at sharp edges of tools that they would pass between two nodes.
+        smooth_landing: Whether nodes land on curved paths and stop at that very time, not at the end of a step, so that
+            slopes of a run follow the trend of its results.
         max_steps: Largest number of steps of `run`.
     """
 
@@ -94,6 +96,7 @@ class Solver:
     quasi_static: bool = static(default=False)
     self_contact: bool = static(default=False)
     edge_contact: bool = static(default=False)
+    smooth_landing: bool = static(default=False)
     max_steps: int = static(default=MOST_STEPS)
 
 
@@ -207,6 +210,11 @@ class Scene:
         return any(not surface.mold.contact.sticks for surface in self.surfaces)
 
     @property
+    def lands_smoothly(self) -> bool:
+        """True where nodes land on curved paths, at their own time within a step."""
+        return self.solver.smooth_landing and bool(self.surfaces)
+
+    @property
     def moving_tools(self) -> tuple[int, ...]:
         """Numbers of the surfaces that move, where there are several: the work of each is counted by itself."""
         moving = [number for number, surface in enumerate(self.surfaces) if surface.mold.motion is not None]
@@ -301,6 +309,7 @@ class Scene:
             "nodes slide on the mold": self.mold is not None and not self.mold.contact.sticks,
             "it has tools besides the mold": bool(self.tools),
             "sides are held at edges of its tools": bool(self.tables.edges),
+            "its nodes land on curved paths": self.lands_smoothly,
         }
         return [reason for reason, holds in parts.items() if holds]
 
@@ -406,6 +415,7 @@ def make_solver(
     quasi_static: bool = False,
     self_contact: bool = False,
     edge_contact: bool = False,
+    smooth_landing: bool = False,
     max_steps: int = MOST_STEPS,
 ) -> Solver:
     """Options of the time integration; see `Solver`.
@@ -431,6 +441,7 @@ def make_solver(
         quasi_static=bool(quasi_static),
         self_contact=bool(self_contact),
         edge_contact=bool(edge_contact),
+        smooth_landing=bool(smooth_landing),
         max_steps=int(max_steps),
     )
 

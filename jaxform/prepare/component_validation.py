@@ -362,6 +362,18 @@ def check_clamp_opening(parison: Parison, pressure: Loading, solver: Solver) -> 
         raise InputError("lets out the gas that the clamped sheet encloses", remedy, key, until)
 
 
+def check_smooth_landing(solver: Solver, surfaces: Sequence[Mold]) -> None:
+    """Raises InputError where nodes would land on curved paths on tools that move or that they do not stick to."""
+    if not solver.smooth_landing:
+        return
+    key = "solver.smooth_landing"
+    if solver.edge_contact:
+        raise InputError("cannot be combined with solver.edge_contact", "leave one of the two out", key, True)
+    if any(surface.motion is not None or not surface.contact.sticks for surface in surfaces):
+        problem = "needs tools at rest that the sheet sticks to"
+        raise InputError(problem, 'leave it out, or use contact = "stick" and no motion', key, True)
+
+
 def check_weight(solver: Solver, refinement: Refinement | None) -> None:
     """Raises InputError where gravity would act on the added mass of mass scaling."""
     if solver.gravity is None or refinement is None or not int(refinement.mass_scaling_levels):

@@ -138,6 +138,7 @@ def build_scene(
     if solver.edge_contact and refinement is not None:
         problem = "cannot be combined with a mesh that is refined during the run"
         raise InputError(problem, "leave [refinement] out, or edge_contact", "solver.edge_contact", True)
+    component_validation.check_smooth_landing(solver, surfaces)
     check_part(part, None if mold is None else len(mold.triangles), [len(tool.triangles) for tool in tools])
     pressure, count = component_validation.validate_loading(pressure), len(parison.positions)
     component_validation.check_weight(solver, refinement)

@@ -205,6 +205,8 @@ class SolverTable(Table):
         quasi_static: Whether a slow process is meant: the run then warns where inertia or damping shows.
         self_contact: Whether films stick to each other that meet back to back in a fold (a web), while the mold rests.
         edge_contact: Whether sides of elements are held at sharp edges of tools that they would pass between two nodes.
+        smooth_landing: Whether nodes land on curved paths and stop at that very time, not at the end of a step, so that
+            slopes of a run follow the trend of its results; for tools at rest that the sheet sticks to.
         max_steps: Limit on the steps of a run.
     """
 
@@ -215,6 +217,7 @@ class SolverTable(Table):
     quasi_static: bool = False
     self_contact: bool = False
     edge_contact: bool = False
+    smooth_landing: bool = False
     max_steps: Annotated[int, declared_range("solver.max_steps")] = MOST_STEPS
 
 
