@@ -22,7 +22,7 @@ from jaxform import molds
 from jaxform.cli import command, session
 from jaxform.core.errors import InputError
 from jaxform.io import export, files, plots
-from jaxform.results.part import mask_part, part_elements
+from jaxform.results.part import mask_part, part_elements, rim_elements
 from jaxform.results.result import Result
 from jaxform.results.summary import summarize
 from jaxform.results.tool_contact import formed_areas
@@ -91,6 +91,20 @@ def test_the_summary_and_what_a_search_reports_are_of_the_part(cone: tuple[jaxfo
     assert [float(reported[key]) for key in ("least", "mean", "mass")] == pytest.approx(
         [hand[key] for key in ("min", "mean", "mass")]
     )
+
+
+def test_elements_span_the_rim_where_they_have_nodes_in_the_part_and_off_it(
+    cone: tuple[jaxform.Scene, Result],
+) -> None:
+    plain, result = cone
+    inside = np.asarray(result.positions)[:, 2] > 0.2
+    formed = dataclasses.replace(result, wall=jnp.where(jnp.asarray(inside), 1, 2))
+    scene = dataclasses.replace(plain, part=jaxform.make_part(walls=np.array([True, False])))
+    corners = inside[np.asarray(result.triangles)]
+    expected = corners.any(1) & ~corners.all(1)
+    assert 0 < expected.sum() < len(expected)
+    np.testing.assert_array_equal(rim_elements(formed, scene), expected)
+    assert not np.any(rim_elements(formed, plain))
 
 
 def test_objectives_count_the_part_alone_and_a_scene_without_one_is_as_it_was(
