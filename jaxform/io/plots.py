@@ -13,6 +13,7 @@ from jaxform.core.errors import format_coordinate
 from jaxform.core.pytree import as_real, parameter_ranges
 from jaxform.io import canvas
 from jaxform.io.canvas import MINIMUM, Line, PartPicture, draw, new_figure, save
+from jaxform.io.process import pressures_over_time
 from jaxform.io.scene_checks import Survey, box_size, survey
 from jaxform.io.surfaces import (
     SHEET,
@@ -120,7 +121,9 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     bar = figure.add_axes((0.925, 0.52, 0.012, 0.34))
     walls = [_wall(restrict_to_part(result, scene)[0]) for scene, result in (before, after)]
     canvas.draw_bar(figure, colors, bar, "wall thickness [mm]", walls)
-    same = np.array_equal(before[0].pressure.value, after[0].pressure.value)
+    time = np.linspace(0.0, max(float(scene.solver.end_time) for scene, _ in (before, after)), 400)
+    pressures = [pressures_over_time(*part, time) for part in (before, after)]
+    same = bool(np.isnan(pressures).any()) or np.array_equal(*pressures)
     count = 2 if same else 3
     width = 0.93 / count
     places = [(0.065 + k * width, 0.07, width - 0.075, 0.34) for k in range(count)]
@@ -131,7 +134,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
         _draw_field(figure, fresh, after[0], *designed)
     _draw_walls(figure.add_axes(places[1]), before, after, target)
     if not same:
-        _draw_pressures(figure.add_axes(places[2]), before[0], after[0])
+        _draw_pressures(figure.add_axes(places[2]), time, *pressures)
     canvas.save(figure, path)
 
 
@@ -305,10 +308,9 @@ def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> N
     axes.legend(frameon=False)
 
 
-def _draw_pressures(axes: Any, before: Scene, after: Scene) -> None:
-    for scene, color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
-        time = np.linspace(0.0, float(scene.solver.end_time), 400)
-        axes.plot(time, np.asarray(scene.pressure.at(as_real(time))) / 1e3, color=color, label=words, linewidth=2)
+def _draw_pressures(axes: Any, time: Array, before: Array, after: Array) -> None:
+    for value, color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
+        axes.plot(time, value / 1e3, color=color, label=words, linewidth=2)
     axes.set(xlabel="time [s]", ylabel="pressure [kPa]")
     axes.legend(frameon=False)
 

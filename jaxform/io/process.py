@@ -32,7 +32,7 @@ def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
     """The process of a run; None where nothing changes over time: a constant pressure, and no tool that moves."""
     tools = [surface.mold for surface in scene.surfaces]
     time = _times(scene, tools, float(result.time))
-    pressure = _pressures(scene, result, time)
+    pressure = pressures_over_time(scene, result, time)
     if not scene.moves and np.ptp(pressure) == 0.0:
         return None
     displacements = {
@@ -75,8 +75,8 @@ def _times(scene: Scene, tools: Sequence[Mold], end: float) -> Array:
     return np.unique(found[(found >= 0.0) & (found <= end)])
 
 
-def _pressures(scene: Scene, result: Result, time: Array) -> Array:
-    """Pressures (n,) [Pa]: those of the run, where they follow the volume."""
+def pressures_over_time(scene: Scene, result: Result, time: Array) -> Array:
+    """Pressures (n,) [Pa] at times (n,) [s]: those of the run where they follow the volume, NaN if it recorded none."""
     if result.pressures is not None:
         return np.interp(time, *result.pressures)
     if scene.pressure.follows_volume:

@@ -269,6 +269,24 @@ def test_pictures_of_a_search(tmp_path: Path) -> None:
     assert _colors(tmp_path / "convergence.png") > 20
 
 
+def test_a_design_of_a_gas_has_the_pressures_that_its_runs_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, result = _at_rest(SHEETS["disc"])
+    scene = dataclasses.replace(scene, pressure=jaxform.make_gas([0.0, 1.0], [0.0, 1e-3], dead_volume=1.0))
+    drawn: list[np.ndarray] = []
+    monkeypatch.setattr(plots, "_draw_pressures", lambda _, time, *pair: drawn.append(np.stack([time, *pair])))
+    first, last = (
+        dataclasses.replace(result, pressures=np.array([[0.0, 0.5], [0.0, end]]), status=jnp.int32(0))
+        for end in (1.0, 3.0)
+    )
+    plots.design_picture(tmp_path / "design.png", (scene, first), (scene, last))
+    time, before, after = drawn[0]
+    np.testing.assert_allclose([before, after], [np.minimum(2 * time, 1.0), 3 * np.minimum(2 * time, 1.0)])
+    plots.design_picture(tmp_path / "none.png", (scene, result), (scene, result))
+    assert len(drawn) == 1 and (tmp_path / "none.png").exists()
+
+
 def test_a_design_on_a_mesh_that_is_refined_otherwise_is_drawn(tmp_path: Path) -> None:
     scene = scenes.refinable(shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 60)
     begun, first = scenes.begin_run(scene)
