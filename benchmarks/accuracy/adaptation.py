@@ -19,8 +19,10 @@ import jaxform
 from benchmarks.accuracy import cases
 from benchmarks.timing import one_core
 from jaxform.adapt import mesher
+from jaxform.io import files
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
+from jaxform.results.result import Result, drop_unused
 from jaxform.results.size_field import edge_lines, wanted_sizes
 
 _FIRST = 600  # elements of the mesh on which an adapted run begins
@@ -44,9 +46,9 @@ class Cup(NamedTuple):
     pressure: float
     table: str
 
-    def scene(self, sheet: Sheet) -> Scene:
+    def scene(self, sheet: Sheet, refinement: Any = None) -> Scene:
         """The scene of a sheet of radius 1."""
-        return cases.sheet_in_cup(sheet, self.law, self.depth, self.pressure)
+        return cases.sheet_in_cup(sheet, self.law, self.depth, self.pressure, refinement=refinement)
 
 
 def show_uniform(cup: Cup, elements: int) -> Row:
@@ -71,6 +73,57 @@ def show_adapted(cup: Cup, elements: int) -> Row:
 
 def _disc(elements: int) -> Sheet:
     return jaxform.shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
+
+
+# What an error costs on each kind of mesh, for the page of accuracy.
+
+_UNIFORM, _ADAPTED = (600, 1250, 2500, 5000, 10000), (300, 600, 1250, 2500, 5000)
+_LEVELS = ((2, 4), (4, 6), (6, 8), (6, 10))  # to which a sheet is refined where it bends, and at the corner
+
+
+def show_costs(name: str) -> list[dict[str, Any]]:
+    """Error at the nodes and CPU time [s] of a cup on uniform meshes, meshes refined in flight, and adapted ones."""
+    cup, wall = CUPS[name], cases.exact_table(CUPS[name].table)
+
+    def row(kind: str, scene: Scene, result: Result, spent: float, work: float) -> dict[str, Any]:
+        scene, result = drop_unused(scene, result)
+        radius = np.hypot(*np.asarray(scene.parison.positions)[:, :2].T)
+        off = cases.nodal_ratio(scene, result) / cases.exact_ratio(radius, wall) - 1
+        count, error = len(scene.parison.triangles), cases.rms(off, cases.nodal_area(scene))
+        made = {"kind": kind, "elements": count, "error": error, "seconds": spent, "element_steps": work}
+        print("  " + "  ".join(f"{key} {value}" for key, value in made.items()), flush=True)
+        return made
+
+    rows = []
+    for elements in _UNIFORM:
+        scene = cup.scene(_disc(elements))
+        rows.append(row("uniform", scene, *_run_by_cpu(scene)))
+    limits = files.read_scene("dish-refined").data["refinement"]
+    for level, corner in _LEVELS:
+        wanted = limits | {"max_level": level, "base_level": corner, "mass_scaling_levels": min(4, corner - 4)}
+        scene = cup.scene(_disc(27), jaxform.make_refinement(**{"interval": 64, "elements": 8192} | wanted))
+        scene = jaxform.fitted(scene, int(jaxform.run(scene).used.sum()))
+        rows.append(row("refined in flight", scene, *_run_by_cpu(scene)))
+    for elements in _ADAPTED:
+        sheet, before, done = _disc(min(_FIRST, elements)), 0.0, 0.0
+        for _ in range(_PASSES):
+            scene = cup.scene(sheet)
+            result, spent, work = _run_by_cpu(scene)
+            began = time.process_time()
+            sheet = mesher.remesh(sheet, wanted_sizes(scene, result), elements, edge_lines(scene, result))
+            before, done = before + spent + time.process_time() - began, done + work
+        scene = cup.scene(sheet)
+        result, spent, work = _run_by_cpu(scene)
+        rows.append(row("adapted, all its runs", scene, result, before + spent, done + work))
+    return rows
+
+
+def _run_by_cpu(scene: Scene) -> tuple[Result, float, float]:
+    """A run, after one that compiles it; its CPU time [s], and its steps times its elements at the end."""
+    jaxform.run(scene)
+    began = time.process_time()
+    result = jaxform.run(scene)
+    return result, time.process_time() - began, float(result.steps) * float(np.asarray(result.used).sum())
 
 
 def time_of_uniform(rows: list[Row], error: float, kind: str = "nodal thickness") -> float:

@@ -303,7 +303,9 @@ def cup_scene(elements: int, law: Any, depth: float, corner: float, pressure: fl
     return sheet_in_cup(with_ring(sheet, corner) if corner else sheet, law, depth, pressure, bool(corner))
 
 
-def sheet_in_cup(sheet: Any, law: Any, depth: float, pressure: float, bottom: bool = True) -> Scene:
+def sheet_in_cup(
+    sheet: Any, law: Any, depth: float, pressure: float, bottom: bool = True, refinement: Any = None
+) -> Scene:
     """A sheet of radius 1 into a cone of a depth, with a wall of 80 degrees where it has a bottom."""
     radius = 1.0 - depth / np.tan(np.radians(80.0))
     profile = [[0.0, depth], [radius, depth], [1.0, 0.0]] if bottom else [[0.0, depth], [1.0, 0.0]]
@@ -313,6 +315,7 @@ def sheet_in_cup(sheet: Any, law: Any, depth: float, pressure: float, bottom: bo
         law,
         jaxform.make_pressure([0.0, 60.0], [0.0, 0.01 * pressure], "cubic-ramp"),
         jaxform.make_mold(mold.vertices, mold.triangles, mold.dropped),
+        refinement=refinement,
         end_time=65.0,
         damping=2.0,
     )

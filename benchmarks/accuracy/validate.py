@@ -1,8 +1,8 @@
 """Accuracy against solutions that owe nothing to it, and what an error costs in time.
 
-Run it with `make validate`, or parts of it by name: `python -m benchmarks.accuracy cases dish box slow gradient`; any
-other name draws the page alone. What a part finds goes into docs/accuracy.json; the page docs/accuracy.md and its
-pictures are drawn from that file alone.
+Run it with `make validate`, or parts of it by name: `python -m benchmarks.accuracy cases meshes dish box slow
+gradient`; any other name draws the page alone. What a part finds goes into docs/accuracy.json; the page
+docs/accuracy.md and its pictures are drawn from that file alone.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 import jaxform
 import optimize
-from benchmarks.accuracy import cases, page, refinement
+from benchmarks.accuracy import adaptation, cases, page, refinement
 from benchmarks.pages import DOCS, Found, read_figures, store_figures
 from benchmarks.timing import one_core
 from jaxform.io import files
@@ -237,8 +237,14 @@ def show_gradient(name: str = "dish-uniform-wall", sizes: tuple[float, ...] = (1
     return {"study": name, "sizes": list(sizes), "table": cases.gradient_sweep(study, list(sizes)).tolist()}
 
 
+def show_meshes() -> Found:
+    """What an error costs on uniform, refined and adapted meshes, by cup."""
+    return {name: adaptation.show_costs(name) for name in adaptation.CUPS}
+
+
 PARTS: dict[str, Callable[[], Any]] = {
     "cases": show_cases,
+    "meshes": show_meshes,
     "dish": show_dish,
     "box": show_box,
     "slow": show_slow,

@@ -63,7 +63,7 @@ class HeldSides:
         point: Where it is held (3, room) [m], in the frame of the tool.
         edge: The number of the edge, counted over all surfaces (room,).
         step: The step of the window in which it was first held (room,); -1 before, NOT_HELD where it is not.
-        count: How many there are.
+        count: How many there are; more than the capacity (room,) where some are missing, and the window is rejected.
     """
 
     ends: jax.Array
@@ -77,6 +77,17 @@ class HeldSides:
         """The same with the nodes at other places (n_node,), before the first step of a window."""
         step = jnp.where(self.step == NOT_HELD, self.step, -1)
         return dataclasses.replace(self, ends=gather(place, self.ends), step=step)
+
+    @property
+    def overflow(self) -> jax.Array:
+        """True where more sides are to be held than there is capacity for."""
+        return self.count > self.share.size
+
+    def enlarge(self, times: int) -> HeldSides:
+        """The same with several times the capacity."""
+        room = self.share.size
+        free = no_held_sides((times - 1) * room, self.share.dtype)
+        return jax.tree.map(lambda own, more: jnp.concatenate([own, more], axis=-1) if own.ndim else own, self, free)
 
 
 def no_held_sides(room: int, real: jnp.dtype) -> HeldSides:
@@ -290,7 +301,7 @@ def find_held_sides(
 def _add_sides(
     held: HeldSides, one: jax.Array, other: jax.Array, edge: jax.Array, found: _Meetings, number: jax.Array
 ) -> HeldSides:
-    """Adds the sides that pass, one by one, unless they are held near there, or there is no room."""
+    """Adds the sides that pass, one by one, unless they are held near there; beyond the capacity they only count."""
     passes, shares, points = found
 
     def add(k: jax.Array, held: HeldSides) -> HeldSides:
@@ -300,7 +311,8 @@ def _add_sides(
         turned = (held.ends[0] == j) & (held.ends[1] == i)
         place = jnp.where(turned, 1.0 - held.share, held.share)
         known = jnp.any(there & (same | turned) & (jnp.abs(place - share) < _APART))
-        takes = entry(passes, k) & ~known & (held.count < held.share.size)
+        meets = entry(passes, k) & ~known
+        takes = meets & (held.count < held.share.size)
         at = jnp.minimum(held.count, held.share.size - 1)
 
         def write(values: jax.Array, new: jax.Array) -> jax.Array:
@@ -314,7 +326,7 @@ def _add_sides(
             write(held.point, values[2]),
             write(held.edge, values[3]),
             write(held.step, values[4]),
-            held.count + takes,
+            held.count + meets,
         )
 
     return jax.lax.fori_loop(0, TEST_BLOCK, add, held)
@@ -483,5 +495,5 @@ def _add_at_ends(values: Any, changes: list[jax.Array], held: HeldSides, scatter
             rows = [put(row, value[None], node) for row, value in zip(rows, new, strict=True)]
         return rows
 
-    rows: Any = jax.lax.fori_loop(0, held.count, add, list(values))
+    rows: Any = jax.lax.fori_loop(0, jnp.minimum(held.count, held.share.size), add, list(values))
     return vector(rows) if isinstance(values, tuple) else jnp.stack(rows)

@@ -137,7 +137,7 @@ def search_sides(
         held = edge_contact.find_held_sides(held, near, paths, landed.nodes, surface, edges, firsts[k], number)
         places = landed.nodes.positions if frame is None else frame.places(landed.nodes.positions)
         stale |= edge_contact.leaves_list(near, places, data.active.packed.elements.node_block_count)
-    return dataclasses.replace(landed, held=held, stale=stale)
+    return dataclasses.replace(landed, held=held, stale=stale, halted=landed.halted | held.overflow)
 
 
 def replay_sides(

@@ -206,6 +206,7 @@ def _advance_over_lists(
         missed = any_missed(moving, candidates, scene, data)
         pairs = functools.reduce(jnp.maximum, [listed.count for listed in candidates], most)
         moving = dataclasses.replace(moving, halted=moving.halted | missed)
+        full = full if moving.held is None else full | moving.held.overflow
         found = pairs, overflow | full, any_before | missed
         return moving, found, tuple(listed.lists for listed in candidates)
 

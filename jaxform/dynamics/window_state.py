@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.adapt.remeshing import initial_mesh
-from jaxform.contact.broad_phase import BroadPhaseCheck
+from jaxform.contact.broad_phase import PAIRS_PER_NODE, BroadPhaseCheck
 from jaxform.contact.edge_contact import HeldSides, KnownSides, no_held_sides
 from jaxform.contact.facet_slip import KnownFacets
 from jaxform.contact.sliding import ToolEnergies
@@ -225,9 +225,14 @@ def initial_state(scene: Scene) -> State:
         shortened=none,
         status=none,
         heat=heat,
-        held=no_held_sides(positions.shape[1], positions.dtype) if scene.tables.edges else None,
+        held=no_held_sides(_side_capacity(scene, positions), positions.dtype) if scene.tables.edges else None,
     )
     if scene.parison.pre_stretch is None:
         return state
     held = strain_energy(state, scene, present_discretization(scene, mesh, discretize(scene)))
     return dataclasses.replace(state, account=dataclasses.replace(state.account, pre_stretch_work=held))
+
+
+def _side_capacity(scene: Scene, positions: jax.Array) -> int:
+    """How many sides can be held at edges: as many as nodes (3, n_node), and more where a run asked for more pairs."""
+    return positions.shape[1] * scene.tables.pairs_per_node // PAIRS_PER_NODE

@@ -41,7 +41,7 @@ _WORDS = {
     Status.NON_FINITE: "a position or velocity is not finite; the result is the state before that window",
     Status.UNSTABLE: "unstable: the energy of the sheet does not match the work done on it",
     Status.WINDOWS_EXHAUSTED: "the limit on steps was reached before the end time",
-    Status.CONTACT_OVERFLOW: "more candidate pairs of node and mold triangle were found than the capacity holds",
+    Status.CONTACT_OVERFLOW: "more pairs of node and triangle, or of side and edge, were found than the capacity holds",
     Status.CONTACT_MISSED: "a node moved so far in one step that it may have missed the mold",
     Status.STOPPED: "stopped by the caller",
     Status.REFINEMENT_OVERFLOW: "refinement asked for more elements or nodes than the capacity holds",

@@ -65,7 +65,9 @@ def enlarge_room(
         # The window that overflowed does not count as failed.
         retries = jnp.maximum(state.control.retries - 1, 0)
         control = dataclasses.replace(state.control, retries=retries)
-        state = dataclasses.replace(state, status=jnp.zeros_like(state.status), control=control)
+        # Either the pairs or the sides that are held at edges were too many.
+        held = None if state.held is None else state.held.enlarge(_MORE_PAIRS)
+        state = dataclasses.replace(state, status=jnp.zeros_like(state.status), control=control, held=held)
         return dataclasses.replace(scene, tables=wider), state, taken
     if not done and int(state.windows) >= tables.window_count and int(state.steps) < most_steps:
         longer = dataclasses.replace(tables, window_count=2 * tables.window_count)

@@ -30,7 +30,7 @@ class Status(enum.IntFlag):
         NON_FINITE: A position or velocity is not finite; the state before that window is kept.
         UNSTABLE: The sheet holds more energy than was put in, or less.
         WINDOWS_EXHAUSTED: The steps that the run may take did not suffice to reach the end time.
-        CONTACT_OVERFLOW: More pairs of node and mold triangle came near each other than there is room for.
+        CONTACT_OVERFLOW: More pairs of node and mold triangle, or of side and edge, were found than there is room for.
         CONTACT_MISSED: A node moved so far in one step that it may have missed the mold.
         STOPPED: Stopped by the caller of `run`.
         REFINEMENT_OVERFLOW: Refinement asked for more elements or nodes than there is room for.

@@ -1,5 +1,6 @@
 """Sides of elements at sharp edges of tools: held where they would pass between two nodes, against exact solutions."""
 
+import dataclasses
 from collections.abc import Callable
 
 import jax
@@ -9,7 +10,9 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxform
+from jaxform.contact.edge_contact import HeldSides, no_held_sides
 from jaxform.core.pytree import as_real
+from jaxform.dynamics import window_state
 from jaxform.mesh.topology import sharp_edges
 
 DOME = [[0.06 * np.sin(angle), 0.06 * np.cos(angle)] for angle in np.linspace(0.0, 0.5 * np.pi, 7)]
@@ -138,6 +141,28 @@ def test_a_run_and_simulate_and_a_replay_hold_the_same_sides() -> None:
         assert held_count(other) == held_count(result) == 3
         np.testing.assert_allclose(other.positions, result.positions, rtol=0, atol=1e-9)
         np.testing.assert_allclose(other.energy.contact_loss, result.energy.contact_loss, rtol=1e-6)
+
+
+def test_more_held_sides_than_there_is_capacity_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = blown(20)
+    expected = jaxform.run(scene)
+    assert held_count(expected) == 3
+    rooms: list[int] = []
+
+    def begin(room: int, real: jnp.dtype) -> HeldSides:
+        rooms.append(room)
+        return no_held_sides(2 * room // rooms[0], real)
+
+    monkeypatch.setattr(window_state, "no_held_sides", begin)
+    # No other test has this program, which is traced with the small capacity.
+    scene = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, skip_far=False))
+    # The host's loop enlarges the capacity; a program that cannot stops, and says so.
+    result = jaxform.run(scene)
+    assert held_count(result) == 3 and int(result.status) == 0
+    np.testing.assert_allclose(result.positions, expected.positions, rtol=0, atol=1e-12)
+    stopped = jaxform.simulate(scene)
+    assert int(stopped.status) & jaxform.Status.CONTACT_OVERFLOW
+    assert "of side and edge" in jaxform.explain(stopped)
 
 
 def _thin_side(result: jaxform.Result) -> jax.Array:
