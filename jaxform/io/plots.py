@@ -13,6 +13,7 @@ from jaxform.core.errors import format_coordinate
 from jaxform.core.pytree import as_real, parameter_ranges
 from jaxform.io import canvas
 from jaxform.io.canvas import MINIMUM, Line, PartPicture, draw, new_figure, save
+from jaxform.io.plausibility import offsets_of
 from jaxform.io.process import pressures_over_time
 from jaxform.io.scene_checks import Survey, box_size, survey
 from jaxform.io.surfaces import (
@@ -33,8 +34,8 @@ from jaxform.results import sections
 from jaxform.results.part import restrict_to_part, thinnest_element
 from jaxform.results.result import Result, drop_unused
 from jaxform.results.summary import explain
-from jaxform.results.tool_contact import formed_areas, wall_statistics
-from jaxform.tools.mold import Motion
+from jaxform.results.tool_contact import formed_areas, tool_label, wall_statistics
+from jaxform.tools.mold import Mold, Motion
 
 Array = NDArray[np.float64]
 Part = tuple[Scene, Result]
@@ -102,7 +103,7 @@ def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) 
 
 
 def design_picture(path: str | Path, before: Part, after: Part, target: float | None = None) -> None:
-    """A design before and after: parts, initial thickness, wall and pressure.
+    """A design before and after: parts, initial thickness, wall and pressure; the tools' ways where only these change.
 
     Args:
         path: Path of the PNG.
@@ -110,7 +111,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
         after: Scene and part of the design.
         target: Uniform target thickness [m], or None.
     """
-    designed = _designed_field(before[0], after[0])
+    designed, given = _designed_field(before[0], after[0]), (before[0], after[0])
     before, after = drop_unused(*before), drop_unused(*after)
     figure = canvas.new_figure(16, 12, "")
     scale = wall_scale([before, after])
@@ -128,10 +129,12 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     width = 0.93 / count
     places = [(0.065 + k * width, 0.07, width - 0.075, 0.34) for k in range(count)]
     fresh = figure.add_axes(places[0])
-    if designed is None:
-        _draw_initial(fresh, before[0], after[0])
-    else:
+    if designed is not None:
         _draw_field(figure, fresh, after[0], *designed)
+    elif _moving_tools(given[1]) and np.array_equal(given[0].parison.thickness, given[1].parison.thickness):
+        _draw_ways(fresh, *given)
+    else:
+        _draw_initial(fresh, before[0], after[0])
     _draw_walls(figure.add_axes(places[1]), before, after, target)
     if not same:
         _draw_pressures(figure.add_axes(places[2]), time, *pressures)
@@ -253,6 +256,26 @@ def _exact(
     dotted = {"linestyle": ":", "color": _EXACT, "linewidth": 2.5, "label": "exact solution"}
     lines = [nodes, mark, (1e3 * radius, initial * ratio, dotted)]
     return lines, "place along the meridian: radius in the initial sheet [mm]"
+
+
+def _moving_tools(scene: Scene) -> list[tuple[Mold, Motion]]:
+    """The mold and the tools that move, with their motions."""
+    tools = [tool for tool in (scene.mold, *scene.tools) if tool is not None]
+    return [(tool, tool.motion) for tool in tools if tool.motion is not None]
+
+
+def _draw_ways(axes: Any, before: Scene, after: Scene) -> None:
+    """Displacements of the tools that move over time, and the friction of each that has one number for it."""
+    for scene, color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
+        for tool, motion in _moving_tools(scene):
+            time = np.linspace(0.0, float(scene.solver.end_time), 201)
+            far = offsets_of(tool, time) @ np.asarray(motion.direction, float)
+            friction = np.ravel(getattr(tool.contact, "friction", []))
+            law = f", friction {friction[0]:.3g}" if len(friction) == 1 else ""
+            axes.plot(time, 1e3 * far, color=color, linewidth=2, label=f"{tool_label(tool)} {words}{law}")
+    axes.set(xlabel="time [s]", ylabel="displacement [mm]")
+    axes.margins(y=0.2)
+    axes.legend(frameon=False, loc="lower right")
 
 
 def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import resource
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -313,6 +314,26 @@ def _over_a_plate(direction: float, pressure: float, rise: float, depth: float =
     positions = np.array(scene.parison.positions, float)
     positions[:, 2] = rise * np.clip(2.0 - 4.0 * np.abs(positions[:, :2] - 0.5).max(1), 0.0, 1.0)
     return scene, dataclasses.replace(scenes.at_rest(scene), positions=jnp.asarray(positions))
+
+
+def test_a_design_of_a_way_alone_shows_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, result = _over_a_plate(1.0, 0.0, 0.3)
+    other = jaxform.replace(scene, {"mold.motion.displacement": [0.0, 0.2]})
+    seen: list[tuple[str, str, list[tuple[str, float]]]] = []
+
+    def look(figure: Any, *_: object) -> None:
+        for axes in figure.axes:
+            lines = [(line.get_label(), float(line.get_ydata()[-1])) for line in axes.get_lines()]
+            seen.append((axes.get_xlabel(), axes.get_ylabel(), lines))
+
+    monkeypatch.setattr(canvas, "save", look)
+    plots.design_picture(tmp_path / "design.png", (scene, result), (other, result))
+    drawn = {(x, y): lines for x, y, lines in seen}
+    assert drawn["time [s]", "displacement [mm]"] == [
+        ("mold before", pytest.approx(100.0)),
+        ("mold after", pytest.approx(200.0)),
+    ]
+    assert not any(y == "initial thickness [mm]" for _, y in drawn)
 
 
 @pytest.mark.parametrize(
