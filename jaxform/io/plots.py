@@ -124,7 +124,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     canvas.draw_bar(figure, colors, bar, "wall thickness [mm]", walls)
     time = np.linspace(0.0, max(float(scene.solver.end_time) for scene, _ in (before, after)), 400)
     pressures = [pressures_over_time(*part, time) for part in (before, after)]
-    same = bool(np.isnan(pressures).any()) or np.array_equal(*pressures)
+    same = bool(np.isnan(pressures).any()) or np.array_equal(pressures[0], pressures[1])
     count = 2 if same else 3
     width = 0.93 / count
     places = [(0.065 + k * width, 0.07, width - 0.075, 0.34) for k in range(count)]
