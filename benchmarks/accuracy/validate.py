@@ -1,8 +1,8 @@
 """Accuracy against solutions that owe nothing to it, and what an error costs in time.
 
-Run it with `make validate`, or parts of it by name: `python -m benchmarks.accuracy cases dish box slow gradient`,
-and `meshes`, which is measured by name alone; any other name draws the page alone. What a part finds goes into docs/accuracy.json; the page
-docs/accuracy.md and its pictures are drawn from that file alone.
+Run it with `make validate`, or parts of it by name: `python -m benchmarks.accuracy cases dish box slow gradient`, and
+`meshes`, which is measured by name alone; any other name draws the page alone. What a part finds goes into
+docs/accuracy.json; the page docs/accuracy.md and its pictures are drawn from that file alone.
 """
 
 from __future__ import annotations
