@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -205,4 +206,39 @@ def roughness() -> Found:
         found[name] = look()
         print(f"{name}: spread {found[name]['spread']:.1e}, against differences "
               f"{found[name]['against_differences']:.1e}", flush=True)  # fmt: skip
+    return found
+
+
+# --- By the time at which a process begins ----------------------------------------------------------------------------
+
+
+def by_start(ramp: float, damping: float, smooth: bool, points: int = 6) -> float:
+    """Slope of the logarithm of the wall's variance by the start of the pressure [1/s], rms over starts; ideally 0.
+
+    A process that begins later forms the same part; nodes land at other places within a step. The sheet has 96
+    elements, the pressure a ramp [s], and nodes land on curved paths or not.
+    """
+    scene = cup(96)
+    scene = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, smooth_landing=smooth))
+    scene = jaxform.replace(scene, {"solver.damping": real(damping)})
+
+    @jax.jit
+    def along(start: jax.Array) -> jax.Array:
+        def variance(start: jax.Array) -> jax.Array:
+            times = {"pressure.time": jnp.stack([start, start + ramp])}
+            return jnp.log(jnp.var(jaxform.simulate(jaxform.replace(scene, times)).element_thickness))
+
+        return jax.jvp(variance, (start,), (jnp.ones_like(start),))[1]
+
+    slopes = [float(along(real(0.5 + 0.0071 * place))) for place in range(points)]
+    return float(np.sqrt(np.mean(np.square(slopes))))
+
+
+def show_starts() -> dict[str, list[float]]:
+    """Slopes by the start of the pressure, on straight paths and on curved ones, for fast and slow ramps."""
+    found = {}
+    for ramp, damping in ((1.0, 0.2), (4.0, 2.0), (16.0, 2.0)):
+        name = f"ramp {ramp:g} s, damping {damping:g} 1/s"
+        found[name] = [by_start(ramp, damping, smooth) for smooth in (False, True)]
+        print(f"{name}: {found[name][0]:.2e}, with smooth landing {found[name][1]:.2e}", flush=True)
     return found
