@@ -443,7 +443,8 @@ def find_revolution(mesh: Mesh) -> Revolution:
     best = min((_sections(corners, middle, axis) for axis in _axes(corners, area, middle)), key=lambda found: found[2])
     axis, outside, variation = best
     if variation > _ROUND:
-        problem = f"is not a body of revolution: its radius varies by {100 * variation:.0f} % around the best axis"
+        varies = f"its radius varies by {100 * variation:.0f} % around the best axis"
+        problem = f"is not a body of revolution: {varies if np.isfinite(variation) else 'it surrounds no axis'}"
         raise InputError(problem, "give a bottle that is round, or write the scene by hand from stretch-blow-bottle")
     return _from_neck(corners, middle, axis, outside, variation)
 

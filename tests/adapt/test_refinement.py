@@ -332,6 +332,7 @@ def test_a_replay_is_smooth_along_a_line(scene: Scene, live: Result) -> None:
     assert np.abs(np.diff(values, 2)).max() < 1e-7 * values[20]
 
 
+@pytest.mark.long
 def test_a_batch_is_single_runs(scene: Scene) -> None:
     factors = np.array([0.8, 1.0, 1.2])
     rows = {"parison.thickness": factors[:, None] * np.asarray(scene.parison.thickness)}
@@ -344,6 +345,7 @@ def test_a_batch_is_single_runs(scene: Scene) -> None:
         np.testing.assert_allclose(together.positions[k], alone.positions, atol=1e-10)
 
 
+@pytest.mark.long
 def test_too_little_room_is_told_and_a_run_takes_more(live: Result) -> None:
     small = cup(96)  # becomes the room of the other tests
     short = jax.jit(jaxform.simulate)(small)

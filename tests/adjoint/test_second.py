@@ -76,6 +76,7 @@ def _compile(function: Callable[[jax.Array], Any]) -> Callable[[jax.Array], Any]
     return jax.jit(function).lower(jnp.ones(4)).compile(_QUICKLY)
 
 
+@pytest.mark.long
 def test_hessian_equals_central_differences_of_the_gradient_through_contact() -> None:
     """`jax.hessian` is `jacfwd` of `jacrev`; here the gradient is asked for as well."""
     figure = _figure(_bound_steps(scenes.cup(elements=24)))

@@ -55,6 +55,7 @@ def test_the_share_of_moving_elements_is_counted() -> None:
     assert 0.1 * steps * len(scene.parison.triangles) < moved < steps * len(scene.parison.triangles)
 
 
+@pytest.mark.long
 def test_refinement_s_table_has_a_row_per_case(tmp_path: Path) -> None:
     cases = [{"elements": 27, "angle": angle, "max_level": 2} for angle in (80.0, 8.0)]
     rows = refinement.curve(refinement.dish, refinement.exact_dish, cases)

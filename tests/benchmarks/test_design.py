@@ -24,6 +24,7 @@ def _case() -> figures.Case:
     return figures.Case("a cup", "deviation, rms [%]", study, figures.deviation, own)
 
 
+@pytest.mark.long
 def test_searches_are_compared_from_the_same_start_and_the_page_says_so(tmp_path: Path) -> None:
     others = ["Nelder-Mead", "random search"] + ["CMA-ES"] * (importlib.util.find_spec("cma") is not None)
     found = figures.compare(_case(), BUDGET, tuple(others))

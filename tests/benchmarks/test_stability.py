@@ -82,6 +82,7 @@ def _short(scene: jaxform.Scene) -> jaxform.Scene:
     return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, window_count=64))
 
 
+@pytest.mark.long
 def test_the_gradient_goes_past_windows_that_were_tried_in_vain() -> None:
     """Overflowed numbers meet no derivative; the decisions are the same for sheets so little apart."""
     scene = _short(random_scenes.draw(RETRIED).scene)
@@ -105,6 +106,7 @@ def test_the_gradient_goes_past_windows_that_were_tried_in_vain() -> None:
     assert min(apart) < 1e-5
 
 
+@pytest.mark.long
 def test_a_sheet_that_hangs_over_a_mold_too_small_for_it_is_warned_of() -> None:
     """Random seed 1190: nodes beside the opening fall past the mold."""
     drawn = random_scenes.draw(1190)

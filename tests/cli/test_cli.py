@@ -330,6 +330,7 @@ def test_an_interruption_before_any_design_says_how_to_go_on(
         assert capfd.readouterr().err == f"jaxform: {expected}\n"
 
 
+@pytest.mark.long
 def test_an_interrupted_search_says_how_to_go_on_and_does(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -126,6 +126,7 @@ def test_simulate_gives_the_same_bits(folder: Path, sweep_folder: Path) -> None:
     assert (out / "final.vtu").read_bytes() == (sweep_folder / "designs" / "0005" / "final.vtu").read_bytes()
 
 
+@pytest.mark.long
 def test_a_worker_that_is_killed_costs_nothing_that_is_recorded(folder: Path, sweep_folder: Path) -> None:
     out = folder / "killed"
     killed: list[int] = []
@@ -148,6 +149,7 @@ def test_a_worker_that_is_killed_costs_nothing_that_is_recorded(folder: Path, sw
     assert _facts(out)["computed"] == 9
 
 
+@pytest.mark.long
 def test_a_client_that_is_killed_goes_on_where_it_was(folder: Path, sweep_folder: Path) -> None:
     out = folder / "stopped"
     known = os.environ | {"PYTHONPATH": str(ROOT)}
@@ -225,6 +227,7 @@ values = [0.045, 0.05]
     assert _facts(out)["computed"] == 2
 
 
+@pytest.mark.long
 def test_a_table_that_has_changed_is_gone_on_with(folder: Path, sweep_folder: Path, tmp_path: Path) -> None:
     lines = (folder / "table.csv").read_text().splitlines()
     (tmp_path / "scene.toml").write_text(scenes.FILE)
@@ -265,7 +268,7 @@ def test_the_pictures_show_something_and_a_click_opens_the_part(sweep_folder: Pa
     [
         (["table.csv", "--out", "x"], "name one with --scene"),
         (["none.csv", "--scene", "dish", "--out", "x"], "none.csv"),
-        (["table.csv", "--scene", "dish", "--out", "x", "--workers", "0"], "no number of processes"),
+        (["table.csv", "--scene", "dish", "--out", "x", "--workers", "0"], "is not a number of processes"),
         (["table.csv", "--scene", "scene.toml", "--out", "x", "--optimize"], "no objective for --optimize"),
         (["dish-uniform-wall", "--out", "x"], "sweep: is missing"),
         (["table.csv", "--scene", "scene.toml", "--out", "x", "--scheduler", "tcp://127.0.0.1:9"], "--scheduler"),

@@ -56,6 +56,7 @@ def test_none_is_started_where_none_is_wanted() -> None:
         assert not isinstance(ask, WorkerCaller) and not ask.elsewhere
 
 
+@pytest.mark.long
 def test_a_command_of_its_own_process_writes_the_same_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     words = ["simulate", "cup-fast", "--quiet", "--out"]

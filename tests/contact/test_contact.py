@@ -253,6 +253,7 @@ def test_inverted_copied_and_open_triangles_make_the_same_part() -> None:
     np.testing.assert_allclose(result.positions, expected.positions, atol=1e-12)
 
 
+@pytest.mark.long
 def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scenes.cup()
 
@@ -292,6 +293,7 @@ def _run_blind() -> jaxform.Result:
         return jaxform.run(scenes.cup())
 
 
+@pytest.mark.long
 def test_what_touches_between_two_looks_unseen_is_retried() -> None:
     """Where a look does not look ahead, the first nodes to touch are always seen too late."""
     scene = scenes.cup()
@@ -311,6 +313,7 @@ def _list_nodes(tool: ContactSurface) -> broad_phase.Candidates:
     return candidates.list_candidates(begin, end - begin, free, step, jnp.int32(16), tool.grid)
 
 
+@pytest.mark.long
 def test_where_pairs_find_no_room_lists_are_shorter_and_nothing_is_missed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -412,6 +415,7 @@ def test_a_half_parison_lies_in_its_mold() -> None:
     assert np.asarray(scene.parison.clamped).sum() > 50
 
 
+@pytest.mark.long
 def test_a_shot_that_flies_out_of_its_list_is_retried_and_hits() -> None:
     """A sudden pressure that moves the sheet far in its first steps; the window that missed something is repeated."""
     sudden = {"pressure.value": [3.0, 3.0], "solver.end_time": 3.0, "solver.damping": 1.0}

@@ -134,6 +134,7 @@ def test_an_edge_of_a_tool_that_moves_takes_the_film_along() -> None:
     assert float(energy.contact_loss) < 0.02 * float(energy.tool_work)
 
 
+@pytest.mark.long
 def test_a_run_and_simulate_and_a_replay_hold_the_same_sides() -> None:
     scene = blown(16)
     result = jaxform.run(scene)
@@ -143,6 +144,7 @@ def test_a_run_and_simulate_and_a_replay_hold_the_same_sides() -> None:
         np.testing.assert_allclose(other.energy.contact_loss, result.energy.contact_loss, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_more_held_sides_than_there_is_capacity_for(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = blown(20)
     expected = jaxform.run(scene)
@@ -172,7 +174,8 @@ def _thin_side(result: jaxform.Result) -> jax.Array:
     return jnp.sum(own * result.element_thickness) / jnp.sum(own)
 
 
-@pytest.mark.parametrize("build", [blown, pytest.param(wedge_scene, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("build", [blown, wedge_scene])
 def test_gradients_through_edge_contact(build: Callable[[int], jaxform.Scene]) -> None:
     scene = build(8)
     schedule = jaxform.run(scene).schedule

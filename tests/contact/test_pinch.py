@@ -71,6 +71,7 @@ def test_a_half_closes_on_the_parting_plane() -> None:
     np.testing.assert_allclose(_volume(scene, result), start, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_two_halves_close_on_a_whole_tube_as_one_on_its_half() -> None:
     both = _scene("none", _plate(GAP, motion=_closing(-1.0)), [_plate(-GAP, name="other", motion=_closing(1.0))])
     result = jaxform.run(both)

@@ -174,6 +174,7 @@ def _plug_scene(depth: float, pressure: float) -> jaxform.Scene:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("depth", "pressure"), [(0.325, 0.0), (0.495, 1.0)])
 def test_disc_pushed_by_a_hemispherical_plug_to_which_it_sticks(
     depth: float, pressure: float, landing: _Landing

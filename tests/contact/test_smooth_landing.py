@@ -84,6 +84,7 @@ def _parts(scene: Scene) -> dict[str, Any]:
     return {name: getattr(scene, name) for name in ("parison", "material", "pressure", "solver")}
 
 
+@pytest.mark.long
 def test_run_and_replay_agree_where_the_mesh_is_refined_and_nodes_rest_on_the_mold() -> None:
     scene = _smooth(scenes.cup())
     limits = jaxform.make_refinement(angle=8.0, interval=64, max_level=2, elements=300)

@@ -79,7 +79,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", [PAGES[0], *(pytest.param(page, marks=pytest.mark.long) for page in PAGES[1:])])
 def test_the_python_of_a_page_runs_and_compiles_nothing_the_second_time(page: str, folder: Path) -> None:
     blocks = _BLOCK.findall((ROOT / page).read_text())
     (first, second), printed = _run(blocks, folder)

@@ -85,6 +85,7 @@ def _drape_scene(parison: jaxform.Parison) -> jaxform.Scene:
     return _scene(parison, 300.0, 0.03, pressure=pressure, mold=mold, fill=False)
 
 
+@pytest.mark.long
 def test_a_sheet_let_go_over_a_mold_has_exact_gradients() -> None:
     scene = _drape_scene(_disc(1.05))
     result = jaxform.run(scene)
@@ -110,6 +111,7 @@ def test_a_sheet_let_go_over_a_mold_has_exact_gradients() -> None:
     np.testing.assert_allclose(difference, float(slope @ step), rtol=1e-5)
 
 
+@pytest.mark.long
 def test_a_mesh_that_is_refined_is_let_go_as_a_whole() -> None:
     limits = jaxform.make_refinement(angle=1.0, interval=1, max_level=2, base_level=0, elements=400)
     parts = {"pressure": jaxform.make_pressure([0.0, 0.02, 0.021], [0.0, 2e4, 0.0]), "refinement": limits}

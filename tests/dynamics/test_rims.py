@@ -110,6 +110,7 @@ def floor_scene() -> Scene:
     return strip(mold=jaxform.make_mold(floor.vertices, floor.triangles), solver={"end_time": 18.0})
 
 
+@pytest.mark.long
 def test_the_ways_to_go_back_agree_and_equal_differences(floor_scene: Scene) -> None:
     run = jaxform.run(floor_scene)
     assert np.any(np.asarray(run.contact_time) > 0) and balance(run) < 1e-2

@@ -79,6 +79,7 @@ def _without(scene: jaxform.Scene) -> jaxform.Scene:
     return dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, self_contact=False))
 
 
+@pytest.mark.long
 def test_the_papers_box_folds_at_its_upper_corner_and_ends_without_a_warning() -> None:
     scene = jaxform.load("box-insert")
     _, said = _crossings(_without(scene))

@@ -63,13 +63,8 @@ def _pushed_and_blown(law: jaxform.ContactLaw) -> jaxform.Scene:
     )
 
 
-@pytest.mark.parametrize(
-    "law",
-    [
-        pytest.param(jaxform.Stick(), id="sticks", marks=pytest.mark.long),
-        pytest.param(jaxform.Coulomb(as_real(0.3)), id="slides"),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("law", [jaxform.Stick(), jaxform.Coulomb(as_real(0.3))], ids=["sticks", "slides"])
 def test_what_sticks_to_a_tool_at_rest_is_packed_away_while_others_move_or_nodes_slide(law: jaxform.ContactLaw) -> None:
     scene = disable_skips(_pushed_and_blown(law), sharp_step=False)
     on, off = jaxform.run(scene), jaxform.run(disable_skips(scene, skip_stuck=False))
@@ -92,6 +87,7 @@ def test_what_sticks_to_a_tool_at_rest_is_packed_away_while_others_move_or_nodes
     assert carried > 3 or not law.sticks
 
 
+@pytest.mark.long
 def test_a_run_with_a_tool_ends_when_nothing_can_move_any_more() -> None:
     """Also where the tool carries nodes: not before that has come to rest."""
     sheet = shapes.disc(radius=1.0, elements=24, symmetry="quarter")
@@ -195,6 +191,7 @@ def _run_without_blocks() -> jaxform.Result:
         return jaxform.run(scene)
 
 
+@pytest.mark.long
 def test_without_blocks_the_force_is_the_same() -> None:
     in_blocks, whole = jaxform.run(scenes.cup()), scenes.call_elsewhere(_run_without_blocks)
     assert int(whole.steps) == int(in_blocks.steps)

@@ -65,6 +65,7 @@ def test_a_scaled_copy_takes_the_same_steps() -> None:
     np.testing.assert_allclose(4.0 * one.positions, four.positions, rtol=0, atol=1e-6)
 
 
+@pytest.mark.long
 def test_every_loop_takes_the_same_steps_and_the_slope_is_that_of_differences() -> None:
     scene = _ringing_disc(0.01, 3.0)
     ran, simulated = jaxform.run(scene), jaxform.simulate(scene)

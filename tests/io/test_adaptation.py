@@ -134,9 +134,7 @@ def test_a_mesh_of_another_sheet_is_refused(tmp_path: Path) -> None:
 def test_a_run_that_stops_has_no_mesh(tmp_path: Path) -> None:
     path = _write(tmp_path, "adapt = {}", elements=60)
     path.write_text(path.read_text().replace("damping = 63.246", "damping = 63.246\nmax_steps = 100"))
-    with pytest.raises(
-        InputError, match=r"parison\.adapt: run 1 of its passes stopped: .* without parison\.adapt first"
-    ):
+    with pytest.raises(InputError, match=r"parison\.adapt: adaptation pass 1 stopped: .* without parison\.adapt first"):
         files.build(files.read_scene(path))
 
 

@@ -169,8 +169,8 @@ def test_what_is_no_number_is_refused_in_words(value: Any, words: str) -> None:
 def test_batches_that_do_not_fit_are_refused_in_words() -> None:
     rows = np.ones((2, 2))
     for changes, words in (
-        ({}, "as many rows"),
-        ({"pressure.value": rows, "material.c": np.ones(3)}, "as many rows"),
+        ({}, "same number of rows"),
+        ({"pressure.value": rows, "material.c": np.ones(3)}, "same number of rows"),
         ({"pressure.value": np.ones((2, 3))}, "shape"),
         ({"pressure.value": [[0.0, 1.0], [0.0, np.nan]]}, "not finite"),
         (None, "not a mapping"),

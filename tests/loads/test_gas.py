@@ -72,6 +72,7 @@ def test_sphere_passes_the_maximum_of_its_pressure() -> None:
     np.testing.assert_allclose(radius, 2.1283753, rtol=5e-3)
 
 
+@pytest.mark.long
 def test_rubber_sphere_passes_the_maximum_and_the_minimum_of_its_pressure() -> None:
     """Treloar's rubber by Ogden's law, from a stretch of 1.1 to 5 in one run; P r0 / h0 in closed form.
 

@@ -105,6 +105,7 @@ def cup() -> jaxform.Scene:
     return scenes.loaded_scene(gas(initial=DEAD, content=0.5, inflow_time=16.0))
 
 
+@pytest.mark.long
 def test_a_gas_forms_a_cup_and_its_work_is_kept_account_of(cup: jaxform.Scene) -> None:
     result = jaxform.run(cup)
     assert int(result.status) == 0 and np.mean(np.asarray(result.contact_time) > 0) > 0.3

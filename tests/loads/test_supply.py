@@ -135,6 +135,7 @@ def test_sphere_comes_to_the_pressure_of_its_supply_and_back_through_the_vent() 
     np.testing.assert_allclose(np.linalg.norm(np.asarray(empty.positions), axis=1), 1.0, rtol=5e-3)
 
 
+@pytest.mark.long
 def test_gradients_of_a_run_are_those_of_differences() -> None:
     given = {"time": [0.0, 1.0, 4.0, 5.0], "valve": [0.1, 0.8, 0.8, 0.1], "vent": [0.1, 0.1, 0.1, 0.9]}
     scene = _sphere(7.0, 60, supply_pressure=0.03, orifice_area=0.1, vent_area=0.03, dead_volume=0.3, **given)

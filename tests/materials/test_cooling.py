@@ -58,6 +58,7 @@ def test_a_thick_wall_cools_as_a_slab_conducts(biot: float, error: float) -> Non
     assert abs(pace - root**2) < 0.06 * abs(plain - root**2)
 
 
+@pytest.mark.long
 def test_a_flange_on_the_mold_and_a_sheet_at_rest_cool_as_walls_do() -> None:
     """Without pressure: the ring that lies on the mold by that, the rest by the air, each exactly."""
     sheet = shapes.disc(radius=1.0, elements=200, symmetry="quarter")
@@ -101,6 +102,7 @@ def _own_sphere(pressure: float, air: float, end: float) -> np.ndarray:
     return found.y[[0, 2], -1]
 
 
+@pytest.mark.long
 def test_a_sphere_that_stiffens_as_it_cools() -> None:
     """Rubber with Maxwell's modes under a rising pressure: stretch, temperature, and the balance of energy."""
     modes = jaxform.Maxwell(jnp.asarray(MODULUS), jnp.asarray(TIME))
@@ -179,6 +181,7 @@ def _mean_warmth(mold: jax.Array, scene: jaxform.Scene) -> tuple[jax.Array, jaxf
     return jnp.mean(_warmth(result)), result
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("end", [25.0, 40.0])
 def test_what_sticks_early_has_the_temperature_of_the_end_time(end: float) -> None:
     """It was that of the border at which the last node had stuck, whatever the end time."""

@@ -176,6 +176,7 @@ def test_the_stable_step_and_the_energy_know_all_second_derivatives(
         np.testing.assert_allclose(law.stiffness(), largest / 12, rtol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("one", "other"),
     [

@@ -177,6 +177,7 @@ def _twin(factor: float) -> Any:
     return jaxform.law(type("NeoHookean", (jaxform.Law,), {"energy": energy, "__annotations__": notes, **fields}))
 
 
+@pytest.mark.long
 def test_a_store_never_gives_the_program_of_a_law_of_the_same_name(tmp_path: Path) -> None:
     """Only this package's source is part of a kept program's name."""
     numbers, found = (real(1.0), real(1.0)), []

@@ -55,6 +55,7 @@ def _cup(viscous: Any, shift: Any, temperature: float | None) -> jaxform.Scene:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("viscous", "shift"),
     [

@@ -41,6 +41,7 @@ def test_a_free_disc_of_two_stiffnesses_in_one() -> None:
     assert float(jaxform.summarize(result, scene)["energy"]["balance_error"]) < 1e-3
 
 
+@pytest.mark.long
 def test_a_cup_of_a_sheet_that_is_stiffer_outside() -> None:
     """The wall over the material, away from the corner, within 0.8 % of the exact cup of 80 degrees."""
     scene = _stiffening_law(cases.cup_scene(600, scenes.mooney(0.1), 0.8, 0.45, 40.0))

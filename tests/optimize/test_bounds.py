@@ -110,6 +110,7 @@ def test_a_search_from_a_bound_finds_a_wall_that_is_within_reach(method: str, ed
     assert design.gradient_error is not None and design.gradient_error < 1e-5
 
 
+@pytest.mark.long
 def test_an_optimum_on_a_bound_is_kept_exactly_and_called_one() -> None:
     """The even wall asks for a middle three times as thick as the rim; the bounds leave it twice."""
     bounds = (0.01, 0.02)

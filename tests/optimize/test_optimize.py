@@ -138,6 +138,7 @@ def test_the_search_recovers_a_known_profile() -> None:
     assert design.summary()["after"]["objective"] == best["objective"]
 
 
+@pytest.mark.long
 def test_least_squares_recovers_it_in_three_iterations() -> None:
     design = optimize.solve(study_of_hidden_profile(iterations=3, method="least-squares"))
     assert min(row["thickness_rms_error"] for row in design.history) < 1e-3

@@ -104,6 +104,7 @@ def run_on_flange(gap: float, level: int) -> tuple[Scene, jaxform.Result]:
     return scene, jaxform.run(scene)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("gap", [1e-6, -1e-6, 3e-3])
 def test_a_flange_forms_the_same_part_wherever_rounding_puts_it(gap: float) -> None:
     walls = []

@@ -168,6 +168,7 @@ def test_only_a_mass_with_flash_depends_on_the_sheet_outside_the_part(
     assert np.all(slope[np.unique(triangles)] > 0.0)
 
 
+@pytest.mark.long
 def test_the_gradient_of_an_objective_over_the_part_is_that_of_central_differences() -> None:
     scene = dataclasses.replace(scenes.cup(), part=jaxform.make_part(trim=("z", 0.1, "above")))
     schedule, objective = jaxform.run(scene).schedule, optimize.Uniform()

@@ -28,6 +28,7 @@ def _volumes(parison: jaxform.Parison) -> np.ndarray:
     return area * np.asarray(parison.thickness)[np.asarray(parison.triangles)].mean(1)
 
 
+@pytest.mark.long
 def test_the_next_parison_has_the_volume_of_the_part(stage_result: tuple[Scene, Result]) -> None:
     scene, result = stage_result
     volume = np.asarray(result.element_volume)

@@ -102,6 +102,7 @@ def test_a_jitted_function_of_padded_scenes_is_traced_once(compilations: Callabl
     assert len(traced) == 1 and compilations() == before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("make", [lambda: dish(0.05, 60), lambda: refined_scene(40)], ids=["uniform", "refined"])
 def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
     """Other nodes, other triangles of the mold and other entries of lists there change no bit."""
@@ -168,6 +169,7 @@ def test_frames_and_stops_see_the_scene_itself() -> None:
         assert each.triangles.shape == scene.parison.triangles.shape
 
 
+@pytest.mark.long
 def test_what_has_room_already_keeps_it() -> None:
     scene = jaxform.padded(dish(0.05, 60))
     assert jaxform.padded(scene) is scene

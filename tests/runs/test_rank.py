@@ -41,6 +41,7 @@ def _own_parts() -> jaxform.Scene:
     return jaxform.build_scene(solver=plain.solver, pressure=gas, fields={"temperature": field}, **parts)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("make", [scenes.cup, _refined_scene, _own_parts])
 def test_every_program_says_along_which_axes(make: Callable[[], jaxform.Scene]) -> None:
     scene = make()

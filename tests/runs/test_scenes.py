@@ -125,6 +125,7 @@ def test_a_traced_size_says_what_to_do_instead() -> None:
         jax.jit(lambda h: scenes.dish(thickness=h).parison.thickness)(jnp.float64(1e-3))
 
 
+@pytest.mark.long
 def test_the_bottle_fills_its_mold_and_keeps_its_accounts() -> None:
     scene = scenes.soap_bottle()
     assert scene.mold is not None

@@ -109,6 +109,7 @@ def test_strict_promotion_of_types_is_for_code_of_ones_own(make: Callable[[], ja
         jax.jit(lambda at: jax.vmap(jax.linearize(mean, at)[1])(jnp.eye(1)[0])).lower(1.0)
 
 
+@pytest.mark.long
 def test_strict_promotion_of_types_changes_no_number() -> None:
     scene = _small()
     expected = jaxform.run(scene), jax.value_and_grad(_mean(scene))(1.0)

@@ -335,6 +335,7 @@ def test_the_end_time_has_no_derivative_and_what_is_no_scene_is_told() -> None:
         jaxform.simulate(scene, schedule=3)  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.long
 def test_a_sensitivity_map_is_the_change_per_area() -> None:
     scene = scenes.cup()
     mass = jaxform.sensitivity(scene, lambda result: result.mass)

@@ -50,6 +50,7 @@ def test_pressure_has_two_stages_below_those_of_the_supply(blown: jaxform.Result
     assert 2.5e6 < pressure[-1] < 3.0e6 and pressure[-1] == pressure.max()
 
 
+@pytest.mark.long
 def test_wall_is_more_even_the_farther_the_rod_is_ahead(scene: jaxform.Scene, blown: jaxform.Result) -> None:
     quick = jaxform.replace(scene, {"tools.rod.motion.time": [0.0, 0.08]})
     late = jaxform.replace(scene, {"pressure.time": [0.0, 0.06, 0.07, 0.16, 0.17]})

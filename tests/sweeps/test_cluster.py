@@ -140,6 +140,7 @@ def _name(scene: jaxform.Scene) -> str:
     return scene.name
 
 
+@pytest.mark.long
 def test_without_a_scheduler_there_is_one_line() -> None:
     with pytest.raises(jaxform.InputError, match=r"--scheduler = 'tcp://127.0.0.1:9': cannot be reached"):
         workers.connect("tcp://127.0.0.1:9")

@@ -106,6 +106,7 @@ def _scene(folder: Path, name: str, shape: MoldShape) -> jaxform.Scene:
     return files.build(files.read_scene(file))
 
 
+@pytest.mark.long
 def test_a_sheet_over_a_fan_of_slivers_is_as_over_the_same_cone_well_meshed(tmp_path: Path) -> None:
     fan = _scene(tmp_path, "fan", revolved(profile=_CONE, segments=100_000))
     assert fan.mold is not None and len(fan.mold.triangles) < 2500

@@ -53,7 +53,7 @@ def test_axis_and_profile_of_a_turned_bottle(rotate: tuple[float, float, float],
 
 def test_bodies_that_are_not_round_are_refused() -> None:
     for shape in (molds.plate(size=[0.1, 0.05]), molds.box_insert(), molds.bottle_half()):
-        with pytest.raises(InputError, match="no body of revolution"):
+        with pytest.raises(InputError, match="is not a body of revolution"):
             bottles.find_revolution(meshes.weld(Mesh(shape.vertices, shape.triangles)))
 
 
