@@ -16,6 +16,7 @@ from optimize.termination import SpentError
 
 SECANT_STEP = 0.04  # of the number that changes most: a hundredth of the way between its bounds
 _PARTED, _NEGLIGIBLE = 0.1, 0.01  # of the larger of slope and secant, and of the first gradient
+_NOTICED = 1e-3  # of the objective at first: what slope and secant differ by over the step, to be worth a warning
 _RUNS, _GRADIENT_COST = 4, 4  # simulations for both comparisons, and those that an iteration takes the time of
 _MOST_SHARE = 0.05  # of the simulations that a search may take
 _PLACES = {"start": "first", "end": "best"}
@@ -54,7 +55,8 @@ def _compare(search: Search, place: str, point: Point, warn: Callable[[str], obj
     if found is None:
         return
     search.secants[place] = found
-    if parts_from_secant(found, abs(search.secants["start"]["slope"])):
+    first = search.history[0]["objective"] if search.history else point.value
+    if parts_from_secant(found, abs(search.secants["start"]["slope"]), abs(first)):
         warn(
             f"at the {_PLACES[place]} design the slope of the objective is not its trend: {found['slope']:.3g} along "
             f"the gradient, {found['secant']:.3g} over a change of the variables by 1 % of their bounds; compare "
@@ -65,7 +67,7 @@ def _compare(search: Search, place: str, point: Point, warn: Callable[[str], obj
 def slope_and_secant(
     point: Point, reach: np.ndarray, values: Callable[[list[np.ndarray]], list[float]]
 ) -> Found | None:
-    """Slope of the value along the gradient, for a step of length 1, and its secant over two designs.
+    """Slope of the value along the gradient, for a step of length 1, its secant over two designs, and the step.
 
     One is a step up, one a step down; the number that changes most changes by `SECANT_STEP`. Numbers that this would
     lead out of the bounds stay as they are. None where nothing is left, or a simulation fails.
@@ -79,11 +81,16 @@ def slope_and_secant(
     up, down = values([point.free + step, point.free - step])
     if not np.isfinite(up - down):
         return None
-    return {"slope": float(point.gradient @ step) / length, "secant": (up - down) / (2.0 * length)}
+    return {"slope": float(point.gradient @ step) / length, "secant": (up - down) / (2.0 * length), "step": length}
 
 
-def parts_from_secant(found: Found, first_slope: float) -> bool:
-    """True if slope and secant differ by more than a tenth, and by more than a hundredth of the first slope."""
+def parts_from_secant(found: Found, first_slope: float, first_value: float) -> bool:
+    """True if slope and secant differ noticeably.
+
+    They differ by more than a tenth, by more than a hundredth of the first slope and, over the step, by more than a
+    thousandth of the value that the search began with: near an optimum a small slope may have any secant.
+    """
     slope, secant = found["slope"], found["secant"]
     apart = abs(slope - secant)
-    return apart > _PARTED * max(abs(slope), abs(secant)) and apart > _NEGLIGIBLE * first_slope
+    noticed = apart * found["step"] > _NOTICED * first_value
+    return noticed and apart > _PARTED * max(abs(slope), abs(secant)) and apart > _NEGLIGIBLE * first_slope

@@ -57,6 +57,13 @@ def test_the_end_is_held_against_the_first_slope() -> None:
         assert len(told) == warned and all("best design" in words for words in told)
 
 
+def test_a_difference_that_is_nothing_beside_the_first_objective_is_no_warning() -> None:
+    """Near the floor of an objective that began a hundred times as high the ripple decides the slope."""
+    found = {"slope": 2.6e-3, "secant": 1.1e-3, "step": 0.05}
+    assert slope_trend.parts_from_secant(found, 2.6e-3, 0.05)
+    assert not slope_trend.parts_from_secant(found, 2.6e-3, 0.36)
+
+
 def test_numbers_at_their_bounds_stay_and_small_searches_are_not_charged() -> None:
     search, point = _search(0.0)
     asked: list[np.ndarray] = []
