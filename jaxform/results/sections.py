@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_FLAT = 0.05  # of its largest extent, up to which a sheet's smallest one is that of a flat one
+
 
 class SectionCurve(NamedTuple):
     """Thickness of the wall along a curve in the formed part.
@@ -96,9 +98,13 @@ def curves(
         in_part = None if part is None else _nodes_of(scene, part)[order]
         return [SectionCurve(place, wall, arc[order], in_part, "all nodes", marked)]
     # Across the two longest sides of its box: along the third a sheet has next to no extent.
-    longest = np.argsort(-np.ptp(start, axis=0), kind="stable")[:2]
+    longest = np.argsort(-np.ptp(start, axis=0), kind="stable").tolist()
+    ordered = sorted(longest[:2], reverse=True)
+    if np.ptp(start, axis=0)[longest[2]] > _FLAT * np.ptp(start, axis=0)[longest[0]]:
+        # Along a tube or preform first, then around it.
+        ordered = [longest[1], longest[0]]
     found = []
-    for axis in sorted(longest.tolist(), reverse=True):
+    for axis in ordered:
         level = _middle(scene, axis) if through is None else float(np.asarray(through)[axis])
         name = f"section {'xyz'[axis]} = {1e3 * level:.4g} mm of the initial sheet"
         pieces = cuts(scene, result, axis, level, part=part)

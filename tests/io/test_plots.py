@@ -43,6 +43,7 @@ SHEETS = {
     "rectangle": shapes.rectangle(size=(2.0, 1.0), elements=64),
     "half rectangle": shapes.rectangle(size=(2.0, 1.0), elements=64, symmetry="half"),
     "sphere": shapes.sphere(radius=1.0, elements=512),
+    "half tube": shapes.tube(radius=0.2, length=2.0, elements=200, symmetry="half"),
 }
 
 
@@ -70,6 +71,14 @@ def test_the_sections_of_a_rectangle_have_its_sides_lengths(name: str) -> None:
     along_x, along_y = sections.curves(scene, result)
     np.testing.assert_allclose(along_x.arc[-1], 1.0 if name.startswith("half") else 2.0, rtol=1e-6)
     np.testing.assert_allclose(along_y.arc[-1], 1.0, rtol=1e-6)
+
+
+def test_the_first_section_of_a_tube_runs_along_it() -> None:
+    scene, result = _at_rest(SHEETS["half tube"])
+    thin = np.asarray(scene.parison.positions)[np.asarray(scene.parison.triangles)[7]].mean(0)
+    along, around = sections.curves(scene, result, through=thin)
+    np.testing.assert_allclose(along.arc[-1], 2.0, rtol=1e-3)
+    np.testing.assert_allclose(around.arc[-1], 0.2 * np.pi, rtol=0.05)
 
 
 def test_images_make_the_part_whole() -> None:
