@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxform.contact.broad_phase import PAIRS_PER_NODE
 from jaxform.core.compilation import with_standard_promotion
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, warn_of
 from jaxform.core.pytree import as_index, as_real, cast_to_precision, check_untraced
 from jaxform.core.store import PACKAGE, Store
 from jaxform.loads import Loading
@@ -282,7 +282,7 @@ def _neighbors(surfaces: list[Mold]) -> tuple[jax.Array, ...]:
 
 
 def _sharp_edges(surfaces: list[Mold], solver: Solver) -> tuple[jax.Array, ...]:
-    """The sharp edges of each surface at which sides are held; empty where they are not, or there are none."""
+    """The sharp edges of each surface at which sides are held; empty where they are not, or, with a warning, none."""
     if not solver.edge_contact:
         return ()
     none = np.zeros((4, 0), np.int32)
@@ -290,7 +290,11 @@ def _sharp_edges(surfaces: list[Mold], solver: Solver) -> tuple[jax.Array, ...]:
         sharp_edges(np.asarray(surface.vertices), np.asarray(surface.triangles)) if surface.contact.sticks else none
         for surface in surfaces
     ]
-    return tuple(map(as_index, found)) if any(edges.size for edges in found) else ()
+    if not any(edges.size for edges in found):
+        problem = "has no effect: no tool that the sheet sticks to has a sharp edge"
+        warn_of(problem, "leave it out", key="solver.edge_contact", value=True)
+        return ()
+    return tuple(map(as_index, found))
 
 
 def _neighbor_table(triangles: np.ndarray) -> np.ndarray:
