@@ -25,7 +25,7 @@ from jaxform.core.errors import InputError
 from jaxform.mesh import planform, topology
 from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.volumes import areas
-from jaxform.tools.distances import Distances, interpolate, weights
+from jaxform.tools.distances import Distances, interpolate, signed_weights, weights
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -325,13 +325,13 @@ _SLIVER = 0.1  # of the area of two triangles, which each is larger than when th
 _ON_SIDE = 0.1  # share of a triangle's height: a point as near to a side divides the side, not the triangle
 
 
-def _space_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> tuple[Array, Index]:
+def _space_points(sheet: Sheet, old: _Old, size: Array, lines: Sequence[Array]) -> tuple[Array, Index]:
     """Points (n, 3) [m] along lines, about a size apart, and pairs (m, 2) of those that follow one another on a line.
 
     The ends of all lines are chosen first, then what is between them. A point as near to another one as to be left out
     is replaced by it in its line.
     """
-    along = np.split(_Old(sheet).at(size, np.concatenate(lines)), np.cumsum([len(line) for line in lines])[:-1])
+    along = np.split(old.at(size, np.concatenate(lines)), np.cumsum([len(line) for line in lines])[:-1])
     found = []
     for number, (line, own) in enumerate(zip(lines, along, strict=True)):
         each = np.linalg.norm(np.diff(line, axis=0), axis=1) / (0.5 * (own[1:] + own[:-1]))
@@ -369,10 +369,11 @@ def _move_to_rim(sheet: Sheet, points: Array) -> Array:
 
 def _insert_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> tuple[Sheet, Array, tuple[Index, Index]]:
     """The sheet and its sizes with nodes along lines; the numbers of these, and pairs of those to be joined."""
-    points, pairs = _space_points(sheet, size, lines)
+    old = _Old(sheet)
+    points, pairs = _space_points(sheet, old, size, lines)
     if not len(points):
         return sheet, size, _NONE
-    old, division = _Old(sheet), _Division(sheet)
+    division = _Division(sheet)
     owner = old.distances.nearest(points).triangle
     nodes = [division.add(place, triangle) for place, triangle in zip(points, owner.tolist(), strict=True)]
     numbers = np.array([-1 if node is None else node for node in nodes])
@@ -453,12 +454,13 @@ class _Division:
     def add(self, place: Array, triangle: int) -> int | None:
         """The number of the node at a place (3,) [m] in one of the first triangles; None where there can be none."""
         parts = self.parts[triangle]
-        shares = [_shares(np.array([self.positions[k] for k in self.triangles[part]]), place) for part in parts]
-        best = int(np.argmax([share.min() for share in shares]))
+        corners = np.array([[self.positions[k] for k in self.triangles[part]] for part in parts])
+        shares = signed_weights(place[None], corners)
+        best = int(np.argmax(shares.min(1)))
         number, share = parts[best], shares[best]
-        corners, k = self.triangles[number], int(np.argmin(share))
+        k = int(np.argmin(share))
         if share.max() > 1.0 - _SAME:
-            return corners[int(np.argmax(share))]
+            return self.triangles[number][int(np.argmax(share))]
         side = self._sides(number)[k]
         beside = [other for other in self.at_side[side] if other != number]
         if share[k] > _ON_SIDE:
@@ -497,10 +499,3 @@ class _Division:
         """Twice a triangle's area times its normal [m^2]; its first corner is at the place, if one is given."""
         a, b, c = (self.positions[k] if place is None or k < len(self.positions) else place for k in corners)
         return np.cross(b - a, c - a)
-
-
-def _shares(corners: Array, place: Array) -> Array:
-    """Barycentric coordinates (3,) of the projection of a place on the plane of a triangle (3, 3); negative outside."""
-    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    opposite = np.cross(corners[[1, 2, 0]] - place, corners[[2, 0, 1]] - place)
-    return opposite @ normal / (normal @ normal)

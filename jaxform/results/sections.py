@@ -98,9 +98,10 @@ def curves(
         in_part = None if part is None else _nodes_of(scene, part)[order]
         return [SectionCurve(place, wall, arc[order], in_part, "all nodes", marked)]
     # Across the two longest sides of its box: along the third a sheet has next to no extent.
-    longest = np.argsort(-np.ptp(start, axis=0), kind="stable").tolist()
+    extent = np.ptp(start, axis=0)
+    longest = np.argsort(-extent, kind="stable").tolist()
     ordered = sorted(longest[:2], reverse=True)
-    if np.ptp(start, axis=0)[longest[2]] > _FLAT * np.ptp(start, axis=0)[longest[0]]:
+    if extent[longest[2]] > _FLAT * extent[longest[0]]:
         # Along a tube or preform first, then around it.
         ordered = [longest[1], longest[0]]
     found = []

@@ -325,11 +325,15 @@ def nearest_places(points: Array, corners: Array) -> Array:
 
 def weights(places: Array, corners: Array) -> Array:
     """Barycentric coordinates (n, 3) of places (n, 3) in triangles (n, 3, 3), pair by pair."""
+    weight = np.maximum(signed_weights(places, corners), 0.0)
+    return weight / weight.sum(1, keepdims=True)
+
+
+def signed_weights(places: Array, corners: Array) -> Array:
+    """As `weights`, of the places' projections on the triangles' planes: negative outside of a triangle."""
     opposite = np.cross(corners[:, [1, 2, 0]] - places[:, None], corners[:, [2, 0, 1]] - places[:, None])
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    weight = np.einsum("nki,ni->nk", opposite, normal) / np.einsum("ni,ni->n", normal, normal)[:, None]
-    weight = np.maximum(weight, 0.0)
-    return weight / weight.sum(1, keepdims=True)
+    return np.einsum("nki,ni->nk", opposite, normal) / np.einsum("ni,ni->n", normal, normal)[:, None]
 
 
 def interpolate(nodal: Array, triangles: NDArray[np.integer], triangle: NDArray[np.int64], weight: Array) -> Array:
