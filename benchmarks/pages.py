@@ -28,9 +28,9 @@ def store_figures(path: Path, name: str, found: Any, *, case: str = "", digits: 
     Args:
         path: The file.
         name: The part.
-        found: What it found.
-        case: Which of the part's cases that is; the part itself by default.
-        digits: Of the numbers that are kept; all by default.
+        found: Its figures.
+        case: The part's case; the part itself by default.
+        digits: Digits of the numbers that are kept; all by default.
     """
     parts = read_figures(path)
     rounded = found if digits is None else _round(found, digits)

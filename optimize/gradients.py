@@ -8,7 +8,7 @@ import numpy as np
 
 from optimize.designs import Point
 
-# Of steps in the search's numbers, until one agrees: large ones meet other decisions, small ones rounding.
+# Steps in the search's numbers, tried until one agrees: large ones meet other decisions, small ones rounding errors.
 _SIZES, _AGREES = (1e-3, 1e-4, 1e-5, 1e-6), 1e-7
 
 

@@ -28,7 +28,7 @@ def hop(
     Args:
         search: The search, after its first one has ended.
         study: The study; each hop has its number of iterations.
-        ending: Why the first search ended.
+        ending: The reason for the first search's end.
         method: The method.
         evaluate: Evaluates the first design of a hop as the method needs it.
 

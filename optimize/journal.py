@@ -37,7 +37,7 @@ class Journal:
     Args:
         path: The file, or None to keep nothing.
         study: Hash of the study; a journal of another one is refused.
-        resume: Whether the file is read first; else it is rewritten.
+        resume: True if the file is read first; else it is rewritten.
 
     Attributes:
         replayed: Number of questions answered from the file so far.

@@ -22,9 +22,9 @@ class Objective:
 
     Attributes:
         uniform: Uniform target wall [m], for pictures; None without one.
-        squares: Whether the value is the sum of the squares of `deviations`.
-        constrained: Whether there are constraints.
-        aims: Whether it has a target thickness, so that a fixed point applies.
+        squares: True if the value is the sum of the squares of `deviations`.
+        constrained: True if there are constraints.
+        aims: True if it has a target thickness, so that a fixed point applies.
         price: Initial multipliers of its constraints.
     """
 
@@ -80,7 +80,7 @@ class Target(Objective):
         scene: The scene that is designed.
         thickness: The target [m]: a number, a field (n_node,), or a `Profile` (along a place in the formed part, or,
             with `initial`, in the initial sheet).
-        initial: Whether the profile's place is that in the initial sheet.
+        initial: True if the profile's place is that in the initial sheet.
         limit: Largest allowed deviation (rms); the objective is then a constraint, and its value is 0.
 
     Attributes:
@@ -184,7 +184,7 @@ class LeastMass(Objective):
     Args:
         scene: The scene that is designed.
         minimum: The wall to keep [m].
-        flash: Whether the mass is that of the whole sheet, with its flash and all that is cut from the part.
+        flash: True if the mass is that of the whole sheet, with its flash and all that is cut from the part.
 
     Raises:
         InputError: If the minimum is not positive.

@@ -28,9 +28,9 @@ class PressureKnots:
     Args:
         scene: The scene; its own pressure is the start.
         bounds: Least and largest pressure [Pa].
-        increasing: Whether the pressure may not decrease from knot to knot.
+        increasing: True if the pressure may not decrease from knot to knot.
         rate: Largest change from knot to knot [Pa/s], or None.
-        held: Whether the first knot keeps its value: else the history may start with a jump.
+        held: True if the first knot keeps its value: else the history may start with a jump.
         end_time: Smallest and largest time of the last knot [s], with which all others are scaled; None for fixed
             times.
 

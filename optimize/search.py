@@ -51,9 +51,9 @@ class Search:
         most_iterations: The step at which the search ends; a hop allows as many again.
         pause: The step at which a round ends, though the search goes on.
         best: The best design so far.
-        stopped: Whether the caller has stopped the search.
-        last: Whether the budget of the search is spent, except for a reserved simulation.
-        schedule: Where the mesh is refined, the decisions that simulations take; None where each decides for itself.
+        stopped: True if the caller has stopped the search.
+        last: True if the budget of the search is spent, except for a reserved simulation.
+        schedule: The decisions of simulations with refinement; None where each decides for itself.
         journal: Journal of questions and answers.
         limits: Multipliers (n,) of the constraints, and the penalty on their violation; None without constraints.
         seconds: Elapsed time, that of earlier parts of the search included [s].
@@ -63,8 +63,8 @@ class Search:
         updates: Updates of the fixed point before the search.
         on_wait: Called with a message before programs are compiled.
         memory: Private state of the method between rounds.
-        evaluators: What computes values of designs side by side: of a study, designs, and the decisions and limits that
-            `value` takes, an answer for each, or None; without it they are computed one after the other.
+        evaluators: Function that computes values of designs side by side: of a study, designs, and the decisions and
+            limits that `value` takes, an answer for each, or None; without it they are computed one after the other.
         programs: Compiled programs by name.
     """
 
@@ -276,7 +276,7 @@ class Search:
             return _plain(report) | {"value": float(value)}
         scene = self.scene(free)
         result = formed_part(scene)
-        # What the host recorded is as long as the run.
+        # The host's records are as long as the run.
         whole = dataclasses.replace(result, seconds=None, pressures=None, contacts=None, contact_periods=None)
         arguments = scene, whole, self.limits
         value, report = self._program("judge", self.judge, *arguments)(*arguments)

@@ -53,7 +53,7 @@ class Design:
         changes: Best design as dotted keys of a scene file with plain values, or nodal arrays.
         history: A row per simulation of the search, with the columns `COLUMNS` (and `LIMIT_COLUMNS`).
         document: Document of the study.
-        message: Why the search ended, in words.
+        message: The reason for the search's end, in words.
         stopped_by: The reason in one word: a key of the study, or one that `optimize.termination.Ending` names.
         broken: Description of the limits that the design breaks, by how much, and the remedy; empty where it keeps all.
         warnings: Warnings about the study, a sentence each.
@@ -150,7 +150,8 @@ def solve_once(
         on_warning: See there.
         on_wait: See there.
         journal: See there.
-        evaluators: What computes values for the check of the gradient side by side; None for one after the other.
+        evaluators: Function that computes values for the check of the gradient side by side; None for one after the
+            other.
         programs: Compiled programs of another search of this study, which gets those of this one.
 
     Raises:

@@ -121,7 +121,7 @@ def apply_step_limit(
         bounds: Least and largest value.
         change: Largest difference of neighbours, one number for each pair.
         first: A value that comes before the first one; None where that is free.
-        rising: Whether values must not fall.
+        rising: True if values must not fall.
     """
     values: list[jax.Array] = []
     last, steps = first, jnp.asarray(change)

@@ -50,7 +50,7 @@ class Browser:
 
     Attributes:
         requests: The addresses that were asked for.
-        complaints: What came to the console as an error, and exceptions.
+        complaints: Errors on the console, and exceptions.
     """
 
     def __init__(self, asked: int, answers: int) -> None:

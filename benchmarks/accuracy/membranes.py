@@ -78,7 +78,7 @@ class Rectangle(NamedTuple):
     """A clamped rectangle [0, r] x [0, 1] under pressure.
 
     Attributes:
-        height: Of the middle, over the short side.
+        height: Height of the middle, over the short side.
         thickness: h / h0 at points (n, 2), as a function.
     """
 
@@ -94,10 +94,10 @@ def rectangle(pressure: float, alpha: float, ratio: float, degree: int = 10, poi
 
     Args:
         pressure: P L / (c h0), L the short side.
-        alpha: Of the law.
+        alpha: Parameter of the law.
         ratio: Long over short side.
         degree: Polynomials up to twice this degree along each side.
-        points: Of Gauss along half a side.
+        points: Number of Gauss points along half a side.
     """
     at, weight = np.polynomial.legendre.leggauss(points)
     at, weight = 0.5 * (at + 1), 0.5 * weight

@@ -196,9 +196,9 @@ class Case:
     """A study that several searches try.
 
     Attributes:
-        title, unit: What is made small, in words, and in what it is counted.
+        title, unit: Name and unit of the figure that is minimized.
         study: With the methods and numbers of iterations of this package's searches.
-        merit: Of a row of a history.
+        merit: The figure of a row of a history.
         own: Method and options by name.
     """
 

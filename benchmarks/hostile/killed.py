@@ -74,10 +74,10 @@ def kills(folder: Path, command: str, count: int, seed: int = 1) -> Counter[str]
     """Kills a command so many times.
 
     Args:
-        folder: Where scene, study and results are.
+        folder: Folder of scene, study and results.
         command: "simulate" or "optimize".
-        count: How many times.
-        seed: Of the moments.
+        count: Number of kills.
+        seed: Seed of the random moments.
 
     Returns:
         How many were killed before their end, had written results, left a file that is not whole, failed when they were

@@ -43,7 +43,7 @@ class Drawn:
         family: Its family's name.
         scene: With room for `WINDOWS` windows.
         planned: Windows that it would have by itself.
-        tags: What is unusual about it.
+        tags: Its unusual properties.
     """
 
     family: str
@@ -57,18 +57,18 @@ class Family:
     """What the scenes of a family have in common.
 
     Attributes:
-        sheet: Of size 1.
+        sheet: A sheet of size 1.
         law: As scene files name it.
         mold: Draws a mold for a sheet of size 1, or None.
-        damped: Whether there is damping.
-        interpolation: Of the pressure.
-        safety: Of the solver.
+        damped: True if there is damping.
+        interpolation: Interpolation of the pressure.
+        safety: Safety factor of the solver.
         refinement: Its static limits; None without.
-        sharp: Whether the step is measured.
+        sharp: True if the step is computed by Lanczos' method.
         viscous: Kind of its viscous modes; None without.
-        warm: Whether its law varies over the sheet, and it has a temperature.
-        cools: Whether that falls.
-        wrinkles: Whether its law has a tension field.
+        warm: True if its law varies over the sheet, and it has a temperature.
+        cools: True if the temperature falls.
+        wrinkles: True if its law has a tension field.
     """
 
     sheet: Callable[[], Sheet]

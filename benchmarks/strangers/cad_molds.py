@@ -22,13 +22,13 @@ class Part:
     Attributes:
         cavity: Makes the air in the mold, z > 0; gives the solids' tags.
         size: Sides of the block with a corner at the origin, or its radius about it [mm].
-        depth: Of the cavity [mm].
-        mesh_size: Of the mold's triangles [mm].
+        depth: Depth of the cavity [mm].
+        mesh_size: Size of the mold's triangles [mm].
         sheet: Lines of the scene file that say the shape; {size} is the element size.
-        element_size: Of a uniform sheet [m]; twice that where it is refined.
-        thickness: Of the sheet [m].
+        element_size: Element size of a uniform sheet [m]; twice that where it is refined.
+        thickness: Thickness of the sheet [m].
         pressure: At the end [Pa].
-        ramp: How long the pressure rises [s].
+        ramp: Duration of the pressure's rise [s].
         mirrors: Maps of initial places (n, 2) to where the wall must be the same.
     """
 

@@ -26,9 +26,9 @@ class Kind:
 
     Attributes:
         made: Makes the mesh [mm], at a fineness of 1 (as strangers have it) or less.
-        unit: Of the file, a name in `UNITS`.
-        suffix: Of the file: "stl" is binary, "ascii.stl" text.
-        damage: What is done to the mesh before it is written.
+        unit: Unit of the file, a name in `UNITS`.
+        suffix: Suffix of the file: "stl" is binary, "ascii.stl" text.
+        damage: Function that damages the mesh before it is written.
     """
 
     made: Callable[[float], trimesh.Trimesh]
@@ -304,7 +304,7 @@ def _wall_mesh(
     Args:
         half: Half its outer sides.
         height: Outside.
-        wall: How thick walls and bottom are.
+        wall: Thickness of walls and bottom.
         holes: Axis across the walls (0 or 1), or 2 through the bottom; range along the wall; range of height, or of y.
     """
     x, y, z = (_planes(-half[0], half[0], wall), _planes(-half[1], half[1], wall), {0.0, wall, height})

@@ -47,16 +47,16 @@ class Row:
     """What became of one file.
 
     Attributes:
-        name: Of the kind.
-        triangles: Of the file.
-        said: What `new` said: the refusal where it refused, else its warnings.
-        refused: Whether `new` refused, with the file alone.
+        name: Name of the kind.
+        triangles: Number of triangles in the file.
+        said: The refusal of `new`, or else its warnings.
+        refused: True if `new` refused, with the file alone.
         way: The flags that the refusal names, by which a scene was made; empty where none was.
-        status: Of the run; what `simulate` said where it wrote nothing.
+        status: Status of the run; the message of `simulate` where it wrote nothing.
         filled: Share of the surface that a sheet could touch, within an element of the part; NaN without a part.
         thinnest: Wall [m].
-        warnings: Of the run.
-        seconds: Of both commands.
+        warnings: Warnings of the run.
+        seconds: Time of both commands [s].
     """
 
     name: str

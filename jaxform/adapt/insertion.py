@@ -181,7 +181,7 @@ def insert_nodes(
         scene: The scene.
         adaptivity: Its adaptive refinement.
         volumes: Volumes of all triangles of the forest (n_triangle,) [m^3].
-        differentiable: Whether loops have as many passes as the capacity; else they end with the new nodes.
+        differentiable: True if loops have as many passes as the capacity; else they end with the new nodes.
     """
     (_, forest), old, surfaces = adaptivity, state.refined_mesh, scene.surfaces
     size = min(BLOCK, mesh.node.size)
@@ -218,7 +218,7 @@ def insert_nodes(
 
     # The loop over blocks carries no more than it changes.
     frames, nodes = present_frames(state, scene), dataclasses.replace(state.nodes, mode=None)
-    # Where all nodes that move stick to one tool, in its frame: there they rest.
+    # If all nodes that move stick to one tool, its frame is used, in which they rest.
     frame = frames[0] if len(frames) == 1 else None
     if frame is not None:
         nodes = _to_frame(nodes, frame)
@@ -264,7 +264,7 @@ def _interpolate_nodes(
     A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
     weighted by these the momentum is kept exactly.
     """
-    # How far the nodes have moved: a new node's initial place may be off its edge, at a rim that is round.
+    # Displacements, not positions: a new node's initial place may be off its edge, at a rim that is round.
     reference = scene.parison.positions
     begins = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
     moved = [nodes.positions[:, end] - begin for end, begin in zip(births.ends, begins, strict=True)]
@@ -293,7 +293,7 @@ def _interpolate_nodes(
         positions=births.put(nodes.positions, reference[births.node].T + moves),
         velocities=births.put(nodes.velocities, speeds),
         stuck=births.put(nodes.stuck, stuck),
-        # What slides may have left since the tool that it touched at the start.
+        # A node that slides may have left the tool that it touched at the start.
         contact_time=births.put(nodes.contact_time, jnp.where(stuck, contact_time, -1.0)),
         wall=births.put(nodes.wall, jnp.where(stuck, wall, 0)),
         tool=None if nodes.tool is None or tool is None else births.put(nodes.tool, tool),

@@ -66,7 +66,7 @@ def remesh(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array] = ()
     Args:
         sheet: The sheet.
         size: Lengths of the edges at its nodes (n_node,) [m], up to a common factor.
-        elements: How many triangles the new mesh has at most; it has at least nine tenths of that.
+        elements: Largest number of triangles of the new mesh; it has at least nine tenths of that.
         lines: Lines (k, 3) [m] on the sheet that are to be edges of the new mesh; left out where it cannot have them.
 
     Returns:

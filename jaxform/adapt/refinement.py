@@ -342,7 +342,7 @@ def _bisect_state(
     body = refined_discretization(scene, forest, mesh, properties)
     new = insert_nodes(state, mesh, scene, adaptivity, properties[0], differentiable=differentiable)
     new = _inherit_state(new, state, mesh, forest)
-    # What concerns the energy balance alone carries no derivative.
+    # Quantities of the energy balance alone carry no derivative.
     energy, volume = totals_of(state, scene, discrete)
     new_energy, new_volume = totals_of(new, scene, body)
     kinetic, new_kinetic = (

@@ -26,9 +26,9 @@ from jaxform.tools.mold import Mold, Motion
 # Measured on one core of a 2-core machine (docs/speed.md says more): of an element and of a step by itself, and what a
 # process takes before it has a scene.
 _PER_ELEMENT, _PER_STEP, _SECONDS_TO_COMPILE = 12e-9, 10e-6, {False: 6, True: 20}  # uniform, refined
-# What lengthens the program of a step over that with one tool that nodes stick to, measured by its text: further tools,
-# tools on which nodes slide, Prony terms, a pressure that follows the volume; and the power of its length with which
-# the time to compile grows: from 10.5 to 22.8 s of one core for 1.78 times the length.
+# Growth of a step's program over that with one tool that nodes stick to, measured by its text, for further tools, tools
+# on which nodes slide, Prony terms and a pressure that follows the volume; and the power of its length with which the
+# time to compile grows: from 10.5 to 22.8 s of one core for 1.78 times the length.
 _LONGER, _POWER = {"tool": 0.4, "slip": 0.8, "modes": 0.25, "gas": 0.15}, 4.0 / 3.0
 _MEASURED_TO_BOUND = 1.6  # of the built-in scenes' first steps, 1.5 to 1.9
 _BYTES_AT_FIRST, _COPIES = 350e6, 3.0

@@ -30,7 +30,7 @@ _SELDOM = (100_000, 50, 50)
 """Thresholds of garbage collection: with the usual ones a short run would spend a tenth of its time on imports."""
 _MOMENT = 1.0  # s, after which a wait is reported
 guard = contextlib.ExitStack()
-"""Of the compiled programs, while a command uses them."""
+"""Context of a command that holds the folder of compiled programs."""
 
 
 def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[[str], None], Store]:
@@ -75,7 +75,7 @@ def use_compile_cache(folder: Path) -> None:
         keep_programs()
     else:
         keep_programs_in(folder, guard)
-    # What cannot be kept, or read back, is compiled again: nothing that anybody must know, on a full disk for each one.
+    # A program that cannot be stored or read is compiled again; on a full disk there would be a warning for each.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
 
 
@@ -84,7 +84,7 @@ def open_folder(folder: Path, force: bool) -> None:
     if disk.is_file(folder):
         raise InputError("is a file", "name a folder", "--out", str(folder))
     try:
-        # What was killed while it wrote may have left a file that is not a result.
+        # A process that was killed may have left an incomplete file, which is no result.
         results = (file for file in folder.iterdir() if not file.name.startswith(PREFIX)) if folder.exists() else ()
         if any(results) and not force:
             raise InputError("exists and is not empty", "choose another folder or give --force", "--out", str(folder))

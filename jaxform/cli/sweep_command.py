@@ -96,7 +96,7 @@ class _Task:
         designs: The designs.
         paths: Columns of their values.
         measures: Columns of their results, with units.
-        function: What a worker does.
+        function: The function that a worker calls.
         argument: Its argument for a design.
     """
 

@@ -24,7 +24,7 @@ class DirectCaller:
     """Calls are done in this process, when they are waited for."""
 
     elsewhere = False
-    """Whether calls are done in another process."""
+    """True if another process computes the calls."""
 
     def start_call(self, function: Callable[..., object], *arguments: Any) -> Callable[[], object]:
         """The function that waits for a call, which runs then."""

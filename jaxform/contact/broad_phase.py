@@ -212,7 +212,7 @@ class NearSides:
         count: Number of pairs.
         center: Centers of the spheres (3, n_node) [m], in the frame of the tool.
         square: Their radii, squared (n_node,) [m^2]; infinite for nodes that stick.
-        overflow: Whether pairs were lost.
+        overflow: True if pairs were lost.
     """
 
     ends: jax.Array
@@ -237,7 +237,7 @@ class Candidates:
         limit_square: Square of the radius (n_node,) [m^2] of the spheres: inside, none but listed triangles can be met.
         alarm_square: Square of the distance (n_node,) [m^2] from the center at which another list is made.
         unwatched_square: The same, less the distance that any node moves between two checks.
-        overflow: Whether pairs were lost, so that the list must not be used.
+        overflow: True if pairs were lost, so that the list must not be used.
         sides: Sides that can meet sharp edges of the surface; None where it has none.
     """
 

@@ -46,8 +46,8 @@ from jaxform.tools.search import (
 # start from rest. A list of candidates holds until a node is about to leave its sphere.
 
 _MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the spheres
-# How far before a node leaves its sphere the list ends: of its expected path, of the sphere's radius, and of the way
-# of the fastest node in a step: any may become as fast.
+# The list ends before a node leaves its sphere, by these shares of its expected path, of the sphere's radius, and of
+# the way of the fastest node in a step: any may become as fast.
 _GLANCE, _ALARM, _LEAP = 0.05, 0.1, 1.5
 _FEWEST_STEPS = 16  # that a list is made for
 
@@ -241,7 +241,7 @@ def list_candidates(
         length: Length of a step [s].
         steps: Largest number of steps to come; wrongly predicted paths cost time, not accuracy.
         grid: The mold's search structure.
-        skip_far: Whether the spheres are as small as the paths allow; else they are as large as the grid allows.
+        skip_far: True if the spheres are as small as the paths allow; else they are as large as the grid allows.
         into: Workspace that is overwritten, such as an old list's; a new one by default.
         blocks: Number of node blocks in use; all by default.
     """

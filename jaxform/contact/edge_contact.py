@@ -59,11 +59,11 @@ class HeldSides:
 
     Attributes:
         ends: The nodes at both ends (2, room).
-        share: How far along the side the point is that is held (room,): 0 at the first end, 1 at the second.
-        point: Where it is held (3, room) [m], in the frame of the tool.
+        share: Place of the point along the side (room,): 0 at the first end, 1 at the second.
+        point: The point at which the side is held (3, room) [m], in the frame of the tool.
         edge: The number of the edge, counted over all surfaces (room,).
         step: The step of the window in which it was first held (room,); -1 before, NOT_HELD where it is not.
-        count: How many there are; more than the capacity (room,) where some are missing, and the window is rejected.
+        count: Number of held sides; above the capacity (room,) some are missing, and the window is rejected.
     """
 
     ends: jax.Array
@@ -111,11 +111,11 @@ class KnownSides(NamedTuple):
     step: jax.Array
 
 
-# Where a side meets an edge.
+# Intersections of sides and edges.
 
 
 _Meetings = tuple[jax.Array, jax.Array, Vector]
-"""Whether sides (n,) pass edges in a step, pair by pair; at which share of them and at which points [m]."""
+"""Mask of the pairs whose side passes the edge in a step (n,), the share of the side there, and the point [m]."""
 
 _Corners = tuple[Vector, Vector, Vector, Vector]
 """Begin and end of edges, then the third corner of either face there, each three times (n,) [m]."""
@@ -193,7 +193,7 @@ def list_near_sides(
         used: Elements (n_element,) that there are.
         mold: The tool.
         edges: Its sharp edges (4, n_edge).
-        speed: How far the tool moves while the list is valid [m]: so far what sticks elsewhere moves in its frame.
+        speed: Way of the tool while the list is valid [m]: nodes that stick elsewhere move by it in the tool's frame.
     """
     center, radius = candidates.lists.spheres[0][:3], candidates.lists.spheres[0][3]
     wide = _WIDER * radius + speed
@@ -355,7 +355,7 @@ def hold_known_sides(
     return jax.lax.cond(jnp.any(here), jax.checkpoint(place), lambda held: held, held)
 
 
-# What holds them.
+# Forces that hold the sides.
 
 
 def values_at_points(nodal: Any, held: HeldSides) -> jax.Array:
@@ -403,7 +403,7 @@ def hold_sides(
         length: The step [s]; nothing is moved in one of no length.
         carrier: Displacement at the step's end [m] and velocity (3, room) [m/s] of the tool of each side.
         number: Number of the step.
-        differentiable: Whether JAX can differentiate it.
+        differentiable: True if JAX can differentiate it.
     """
     weights, scatter = (1.0 - held.share, held.share), differentiable or not on_cpu()
     active = (held.step < number) & (length > 0.0)

@@ -188,7 +188,7 @@ def _slide_on(
     (last_corner, *_), _, last_normal = facets(surface.mold, end.triangle, end.side)
     height = dot(minus(end.position, last_corner), last_normal)
     place = minus(end.position, _within_planes(height, last_normal, nodes.mobile))
-    # What leaves begins a little off the surface: there it is on one side for sure.
+    # A node that leaves begins a little off the surface, where its side is certain.
     gap = _CLEAR * touch_distance(surface.grid)
     clear = vector(jnp.where(end.off, gap * c * n, 0.0) for c, n in zip(nodes.mobile, end.outward, strict=True))
     there = vector(x + a + o + length * c for x, a, o, c in zip(place, clear, offset, carrier, strict=True))
@@ -275,12 +275,12 @@ def land_and_slide(
 
     Args:
         surface: The surface.
-        point: Where they touch it, three times (n,) [m].
+        point: Points at which they touch it, three times (n,) [m].
         velocities: With which they do, relative to it, three times (n,) [m/s].
         wall: On which triangle and side, as in `Nodes`.
         left: Remaining time of the step [s]; 0 for nodes that do not land.
         mobile: 1 where a component may change, else 0, three times (n,).
-        differentiable: Whether loops have a fixed number of passes.
+        differentiable: True if loops have a fixed number of passes.
 
     Returns:
         Positions [m] and velocities [m/s] in the frame of the surface, three times (n,), `wall`, and how far

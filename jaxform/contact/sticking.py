@@ -115,7 +115,7 @@ def apply_contact(
         surfaces: The surfaces.
         known: Nodes in contact with each surface, from `touches_already`.
         room: Workspace for the first hits, from `no_hits`. It is returned unchanged.
-        curve: Where nodes land on curved paths, `ContactStep.curve` of a node, from its number and velocity (3, 1).
+        curve: `ContactStep.curve` of a node, from its number and velocity (3, 1); None where paths are straight.
     """
     count = sum(count for _, count in due)
     return lax_cond_once(

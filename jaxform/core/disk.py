@@ -26,7 +26,7 @@ def expand_path(name: str | Path, folder: str | Path | None = None) -> Path:
 
     Args:
         name: As the user wrote it.
-        folder: What a relative name is relative to; by default the working directory.
+        folder: Base of a relative name; by default the working directory.
 
     Raises:
         InputError: No file can have such a name, or there is no such home.
@@ -49,9 +49,9 @@ def read_bytes(path: Path, most: int, name: str | Path | None = None) -> bytes:
     """The content of a regular file.
 
     Args:
-        path: Where it is.
+        path: The file.
         most: Bytes above which nothing is read, and the file refused.
-        name: What to call it in messages; by default its path.
+        name: Name of the file in messages; by default its path.
 
     Raises:
         InputError: There is no such file, it is a folder, a device or a pipe, too large, or cannot be read.
@@ -114,7 +114,7 @@ def error_reason(error: BaseException) -> str:
 # Files that are there whole or not at all: written beside their place, and moved to it when they are complete.
 
 PREFIX = ".jaxform-"
-"""How names of files start that are no results yet: what was killed may leave them, what comes next overwrites them."""
+"""Prefix of the names of incomplete files: a killed process may leave them, the next one overwrites them."""
 
 
 @contextlib.contextmanager
@@ -123,7 +123,7 @@ def atomic_path(path: str | Path, remedy: str = "free disk space, or choose anot
 
     Args:
         path: The file, replaced if it is there.
-        remedy: What to do where it cannot be written, for the message.
+        remedy: The remedy in the message where it cannot be written.
 
     Raises:
         InputError: The disk is full, the folder is gone or may not be written.

@@ -155,8 +155,8 @@ def parameter(
         above: It is greater than this.
         least: It is not less than this.
         most: It is not greater than this.
-        nodal: Whether it has a value at each node of the parison, (n_node,).
-        listed: Whether it is a list of numbers (n,), such as one for each term of a law.
+        nodal: True if it has a value at each node of the parison, (n_node,).
+        listed: True if it is a list of numbers (n,), such as one for each term of a law.
         file_default: Value where a scene file does not give the number; without one the file must give it.
     """
     allowed = Range(unit, above=above, least=least, most=most)

@@ -28,8 +28,8 @@ class Range:
         unit: Unit of the number; empty where it has none.
         above: It is greater than this.
         least, most: It is not less than the one and not greater than the other.
-        increasing: Whether several must increase.
-        count: Whether it is whole.
+        increasing: True if several values must increase.
+        count: True if it is a whole number.
     """
 
     unit: str = ""
@@ -153,7 +153,7 @@ DESIGNABLE = [
     "mold.temperature",
     "mold.heat_transfer",
 ]
-"""What `replace` may put in; the place of each is its bit in `Result.out_of_range`. A law may add to it."""
+"""Paths that `replace` may set; the index of each is its bit in `Result.out_of_range`. A law may add to it."""
 WORDS, BITS = 4, 31  # whole numbers in which it is told which are out of range, and how many in each
 _declared: dict[str, list[Range]] = {}
 

@@ -56,12 +56,12 @@ class Store:
     """A folder of things kept; without a folder compiled programs alone are, in memory.
 
     Args:
-        folder: Where.
-        shared: Whether other processes use it at the same time: of those that want a program, one compiles it, and
-            runs take those of their own bucket sizes alone, so that no sum depends on what was compiled before.
+        folder: Path of the folder; None keeps compiled programs in memory.
+        shared: True if other processes use it at the same time: of those that want a program, one compiles it, and runs
+            take those of their own bucket sizes alone, so that no sum depends on what was compiled before.
 
     Attributes:
-        folder: Where; made when the first thing is written.
+        folder: Path of the folder, made when the first thing is written.
         shared: As above.
     """
 
@@ -76,8 +76,8 @@ class Store:
         """Named arrays.
 
         Args:
-            name: What they are, in a word.
-            key: What they depend on: arrays, numbers, texts.
+            name: A word for the arrays.
+            key: Arrays, numbers and texts on which they depend.
             make: Makes them where they are not kept.
         """
         path = self._path(name, key)
@@ -396,7 +396,7 @@ def deserialize_program(content: Any) -> tuple[bytes, Callable[[], Program]] | N
     """A program from bytes; None where they are none of this version's.
 
     Args:
-        content: What `serialize_program` gave, from a place that is the user's alone: such bytes can do anything.
+        content: Bytes of `serialize_program`, from a place that is the user's alone: such bytes can do anything.
 
     Returns:
         Its description, for `_restore_trees`, and a function that loads it, as one from leaves to leaves: that needs

@@ -234,5 +234,5 @@ def initial_state(scene: Scene) -> State:
 
 
 def _side_capacity(scene: Scene, positions: jax.Array) -> int:
-    """How many sides can be held at edges: as many as nodes (3, n_node), and more where a run asked for more pairs."""
+    """Capacity of sides held at edges: the number of nodes (3, n_node), or more where a run asked for more pairs."""
     return positions.shape[1] * scene.tables.pairs_per_node // PAIRS_PER_NODE

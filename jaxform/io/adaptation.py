@@ -35,7 +35,7 @@ _STOPS = (
     | Status.RUNAWAY
     | Status.INPUT
 )
-"""What ends a run before its wall says where elements should be; a corner that is not filled does not."""
+"""Statuses of runs whose wall does not say where elements should be; an unfilled corner is none of them."""
 _RECENT = 8  # adapted meshes that a process keeps, which a study and its best scene ask for again
 _recent: dict[str, Arrays] = {}
 

@@ -35,10 +35,10 @@ def part(
         result: The part.
         scene: The simulated scene.
         ax: Matplotlib axes with `projection="3d"`; new ones by default.
-        edges: Whether the elements' edges are drawn.
-        mold: Whether the mold is drawn.
+        edges: True if the elements' edges are drawn.
+        mold: True if the mold is drawn.
         limits: Range of the colours [mm]; by default that of the formed elements.
-        bar: Whether a colour bar is added.
+        bar: True if a colour bar is added.
 
     Returns:
         The axes.
@@ -92,7 +92,7 @@ def sheet(scene: Scene, values: ArrayLike | None = None, ax: Any = None, *, labe
         values: Values at the nodes (n_node,), such as a gradient with respect to the thickness.
         ax: Matplotlib axes; new ones by default.
         label: Label of the colour bar.
-        bar: Whether a colour bar is added.
+        bar: True if a colour bar is added.
 
     Returns:
         The axes.

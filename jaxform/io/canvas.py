@@ -30,7 +30,7 @@ class PartPicture(NamedTuple):
         view: The part.
         wall: Thickness of its elements (n_element,) [mm].
         lines: Lines of the diagram, thickness [mm] over a place.
-        across: What the place is, and its unit.
+        across: Label of the place, with its unit.
     """
 
     title: str
@@ -205,7 +205,7 @@ class DrawnSurface(NamedTuple):
         faces: Triangles (n, 3, 3) [mm].
         paint: Their colours (n, 3), or numbers (n,) that colours show; NaN is grey.
         opaque: Their opacity, 0 to 1.
-        edges: Whether their edges are drawn.
+        edges: True if their edges are drawn.
         open_at: Two axes and places [mm]: what lies between the eye and both planes is left out.
     """
 
@@ -222,8 +222,8 @@ class View(NamedTuple):
     Attributes:
         surfaces: Surfaces, from back to front.
         outline: Lines (n, 2, 3) [mm] behind them, thin and grey; None where there are none.
-        hangs: Whether z points down, for a view into a hanging part, or onto one that stands up towards -z.
-        turned: Whether y is reversed as well, so that the view is no mirror image: for parts without symmetry.
+        hangs: True if z points down, for a view into a hanging part, or onto one that stands up towards -z.
+        turned: True if y is reversed as well, so that the view is no mirror image: for parts without symmetry.
         scale: Range of the values that colours show.
         mark: A place (3,) [mm] to mark as the minimum, or None.
     """
@@ -351,7 +351,7 @@ def _image(surface: DrawnSurface, corners: Array, depth: Array, width: int, heig
     nearest = raster.nearest_in_pixels(corners, depth, wide, finer * height, kept)
     hit = np.flatnonzero(nearest >= 0)
     triangle = nearest[hit]
-    # Of many triangles few are seen.
+    # Few of many triangles are visible.
     seen = np.zeros(len(faces), bool)
     seen[triangle] = True
     a, b, c = (faces[seen, corner] for corner in range(3))

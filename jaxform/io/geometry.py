@@ -200,7 +200,7 @@ def build_part(
     Args:
         document: The document.
         mold: Its mold.
-        store: Where merged slivers are kept.
+        store: The store of merged slivers.
         read: Reads a mold's file of a path and a scale.
 
     Raises:

@@ -50,7 +50,7 @@ def write_result(
         folder: Folder for the files.
         warned: Warnings that were given before; they come first in the summary's.
         amend: Function that changes the summary before it is written; none by default.
-        there: Whether `write_at_once` has written the files already.
+        there: True if `write_at_once` has written the files already.
 
     Returns:
         The summary.
@@ -283,7 +283,7 @@ class FitCurve(NamedTuple):
         measured: Measured values (n,), in the unit of the panel's label.
         fitted: Fitted values (n,), in the same unit.
         line: Places and values (k,) each of the line to draw; None for the fitted rows.
-        logarithmic: Whether the x axis is logarithmic.
+        logarithmic: True if the x axis is logarithmic.
     """
 
     panel: str

@@ -51,8 +51,8 @@ class Survey(NamedTuple):
         mold: The same of the mold; None without one.
         thinness: Mean thickness over the sheet's size.
         push: Unit vector (3,) in which the pressure pushes the sheet as a whole; shorter where the sheet is curved.
-        outwards: Whether a curved sheet is pushed away from its middle.
-        changes_sign: Whether the pressure pushes both ways in turn.
+        outwards: True if a curved sheet is pushed away from its middle.
+        changes_sign: True if the pressure pushes both ways in turn.
         ahead: Share of the mold's area on the side that the sheet is pushed to; 0 where it lies on the sheet.
         behind: Share on the other side.
         overlap: Share of the sheet that has mold before it, in the direction of the push; None where it is curved.
@@ -216,7 +216,7 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
     given = [None] * len(scene.tools) if tables is None else tables.tool
     scales = [getattr(table, "scale", None) for table in given]
     sheet_scale = getattr(sheet, "scale", None)
-    # What is in other units lies elsewhere, too.
+    # A tool in other units also lies elsewhere.
     sized = [
         tool
         for tool, scale in zip(scene.tools, scales, strict=True)

@@ -205,13 +205,13 @@ class Draft:
         scale: Metres per unit of the mold's file.
         units: Name of the unit.
         other_units: Other units that the file may have, in words; empty where it is clear.
-        guessed: Whether the scale was guessed.
+        guessed: True if the scale was guessed.
         size: Box of the mold as it is in the file (3,).
         rotate: Rotation of the mold [degrees] (3,).
         translate: Translation of the mold [m] (3,).
         found: The opening.
         planform: Planform of the sheet, in the axes of the view.
-        flange: Whether it lies on the mold all round, beyond the opening.
+        flange: True if it lies on the mold all round, beyond the opening.
         polygon: Polygon of the sheet (k, 2) [m] in the scene.
         rest: Images that complete a mold cut in a half or a quarter, as its file has it [m]; None where it is whole.
         planes: The planes in which the mold is cut, as its file has it [m].

@@ -23,7 +23,7 @@ COVERS, IMAGES, PLATEN, PLUG = "covers.stl", "images.stl", "platen.stl", "plug.s
 """Names of the files of a mold's covers, of the images that complete a cut mold, of a buck's platen and of a plug."""
 
 ADAPT = "# adapt = { elements = 2500 }  # elements where the wall needs them, found by two runs; pip install mmgpy"
-"""What a new scene says of adapted meshes."""
+"""The comment on adapted meshes in a new scene."""
 
 _CONTENT = {
     COVERS: "the covers of the mold's holes",

@@ -52,7 +52,7 @@ def draft(
         paths: The mesh files that are the mold.
         scale: Metres per unit of the files; by default guessed from the mold's size.
         thickness: Thickness of the sheet [m]; by default in proportion to its width.
-        drape: Whether the mold is a buck; by default as it seems.
+        drape: True if the mold is a buck; by default as it seems.
         direction: Unit vector (3,) to the side from which the sheet comes, in the file's axes; found by default.
         process: One of `PROCESSES`.
         plug: The mesh file of a plug, or "auto" for one that is made by an offset of the cavity; None without one.

@@ -87,11 +87,11 @@ def over_blocks(
             is.
         sums: Number of vectors that are summed; of the inputs' floating type.
         most: Number of vectors whose largest value is found.
-        update: Of so many arrays of `into`, the first ones and no `Part`s, the function takes the rows as they were: a
+        update: Number of arrays of `into`, the first ones and no `Part`s, whose rows the function takes as they were: a
             list of them is its first argument.
-        kept: Whether these rows are copied before the function uses them. Without it the function must see to it that
+        kept: True if these rows are copied before the function uses them. Without it the function must see to it that
             whatever it reads of an array goes into what it writes there; else XLA copies the array for every block.
-        whole: Whether the function gets all columns at once, as it does on other devices: for derivatives.
+        whole: True if the function gets all columns at once, as it does on other devices: for derivatives.
 
     Returns:
         The arrays with the rows; the sums and, after them, the largest.
@@ -170,8 +170,8 @@ def compile_as_one[T](work: Callable[[T], T], value: T, count: jax.Array) -> T:
     operations is started by itself, which takes longer than most of them do.
 
     Args:
-        work: What is to be done, once.
-        value: What it is done with.
+        work: The function, called once.
+        value: Its argument.
         count: Any number that is not negative; the compiler must not know that, or it would see through the loop.
     """
     return lax_cond_once(count >= 0, work, value)
@@ -244,7 +244,7 @@ def compact_indices(keep: jax.Array, capacity: int, count: jax.Array | None = No
         return jnp.minimum(place, keep.size - 1).astype(jnp.int32), running[-1]
 
     def add(i: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        # What is not kept is written over by the next one.
+        # The next entry overwrites one that is not kept.
         places, count = carry
         return put(places, i.astype(jnp.int32)[None], count), count + entry(keep, i)
 

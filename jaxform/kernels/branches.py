@@ -27,11 +27,11 @@ class _BranchResiduals:
     """Residuals for the reverse derivative of a branch.
 
     Attributes:
-        asked: Whether it was taken.
+        asked: True if the branch was taken.
         given: Its arguments: closed-over values, then the value.
         residual_index: Residuals that the branch has computed.
-        place: Where each leaf of its derivative is: in `given`, or beyond that in `residual_index`.
-        structure: Of its derivative, a function.
+        place: Index of each leaf of its derivative in `given`, or beyond that in `residual_index`.
+        structure: Tree structure of its derivative, a function.
         moving: True for the differentiated ones of `given`.
     """
 
@@ -47,10 +47,10 @@ def branch[T](asked: jax.Array, work: Callable[[T], T], value: T, smooth: Callab
     """The value transformed by `work` where `asked` is true, else unchanged; differentiable.
 
     Args:
-        asked: Whether it is.
+        asked: True if the branch is taken.
         work: It gives a value of the same structure and shapes, and may close over traced values.
         value: A tree of arrays.
-        smooth: Of the value's tree, whether each leaf carries a derivative; by default all real numbers do.
+        smooth: Tree of flags, true for leaves of the value that carry a derivative; by default all real numbers do.
     """
     leaves, structure = jax.tree.flatten(value)
     made = jax.make_jaxpr(lambda *leaves: jax.tree.leaves(work(jax.tree.unflatten(structure, leaves))))(*leaves)

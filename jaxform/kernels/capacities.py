@@ -19,7 +19,7 @@ _PAIRS = 9 / 16  # of the elements: few are left over
 _SPILL, _KNOTS, _WINDOWS, _RECORDED = BLOCK, 16, 256, 512
 _RIM_EDGES, _SHARP_EDGES = 64, 32
 _ROWS = 4, 6, 16  # of an assembly's table
-# What is only looked up takes memory, but no time: few buckets, far apart.
+# Arrays for look-up take memory, but no time: few buckets, far apart.
 _MOLD, _CELLS, _LISTED, _BEND, _FAR_APART = 4096, 49_152, 196_608, 500_000, 4.0
 _HALF_EDGES = 17 / 8  # of all triangles of a forest
 

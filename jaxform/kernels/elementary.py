@@ -113,7 +113,7 @@ def log2p1(values: jax.Array) -> jax.Array:
         return jnp.log1p(values) / _LN_2
     values = materialize(values)
     total = 1.0 + values
-    # What the sum lost: of more than 2 it is nothing beside the logarithm.
+    # The sum's rounding error; above 2 it is negligible beside the logarithm.
     lost = jnp.where(total < 2.0, values - (total - 1.0), 0.0)
     return log2(total) + lost * (1.0 / _LN_2)
 

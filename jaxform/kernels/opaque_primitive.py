@@ -35,8 +35,8 @@ def call_opaque(function: Callable[..., Any], *arguments: Any, name: Hashable = 
     Args:
         function: Function of trees of arrays; it may close over no traced value.
         arguments: Its arguments.
-        name: What tells the function from all others; with one it is traced once for arguments alike. JAX asks for the
-            derivatives of a loop's body several times.
+        name: Key of the function; with one it is traced once for arguments alike. JAX asks for the derivatives of a
+            loop's body several times.
 
     Raises:
         NotImplementedError: Where a reverse derivative is asked for.
@@ -54,7 +54,7 @@ def call_opaque(function: Callable[..., Any], *arguments: Any, name: Hashable = 
     )
     leaves = match_mesh_axes(leaves)
     results = _sealed_p.bind(*leaves, jaxpr=jaxpr)
-    # What is handed on as it was given stays the same value for whoever looks at it, such as a loop.
+    # An argument that is returned unchanged stays the same value, which loops look for.
     given = dict(zip(map(id, jaxpr.jaxpr.invars), leaves, strict=True))
     outgoing = map(id, jaxpr.jaxpr.outvars)
     return jax.tree.unflatten(flat.made, [given.get(*pair) for pair in zip(outgoing, results, strict=True)])
@@ -64,8 +64,8 @@ class _Flat:
     """A function of leaves, which gives leaves.
 
     Attributes:
-        function: Of trees.
-        structure: Of its arguments.
+        function: The function of trees.
+        structure: Tree structure of its arguments.
         made: The structure of its result, once it has been traced.
         jitted: The same, of which JAX keeps what it traced.
     """
@@ -145,7 +145,7 @@ def _jvp(primals: Any, tangents: Any, *, jaxpr: Any, forward: bool = False) -> t
     both, moves = ad.jvp_jaxpr(jaxpr, moving, False)
     given = [tangent for tangent, here in zip(tangents, moving, strict=True) if here]
     found = _sealed_p.bind(*match_mesh_axes([*primals, *given]), jaxpr=both)
-    # What is known now must not come out of one operation with what depends on unknown tangents.
+    # Known values must not come out of one operation together with values that depend on unknown tangents.
     results = _sealed_p.bind(*primals, jaxpr=jaxpr) if unknown else found[: len(moves)]
     changes = iter(found[len(moves) :])
     none = [ad.Zero(jax.typeof(result).to_tangent_aval()) for result in results]
@@ -198,7 +198,7 @@ class TwiceDifferentiable:
         """Makes the operations.
 
         Args:
-            name: Of the operation.
+            name: Name of the operation.
             value: The function.
             tangent: Takes also the load's changes, None where there is none.
             cotangent: Its transpose: takes which of the load's leaves are wanted, and the results' cotangents, None for

@@ -52,8 +52,8 @@ class Gas(Loading):
         vent: Opening of the vent (n_knot,), from 0 to 1; None, as its area, without a vent.
         vent_area: Area of the open vent [m^2].
         discharge_coefficient: Discharge coefficient of valve and vent.
-        adiabatic: Whether the gas exchanges no heat; else its temperature is constant.
-        closed_by: What closes the volume of the gas: "clamp" for that under the sheet, or "mold".
+        adiabatic: True if the gas exchanges no heat; else its temperature is constant.
+        closed_by: The surface that closes the volume of the gas: "clamp" for that under the sheet, or "mold".
     """
 
     follows_volume: ClassVar[bool] = True
@@ -212,7 +212,7 @@ class Gas(Loading):
         ends = jnp.stack([old_heat, *(outside * volume / self.gas_constant for outside, _ in openings)])
         more = k * blown * length
         low = jnp.maximum(ends.min() + jnp.minimum(more, 0.0) * _ratio(old_heat, old_mass), 0.0)
-        # Of a gas that is taken out, what is left has no more heat than it has mass for.
+        # A gas of which mass is taken out keeps no more heat than its mass can have.
         heat = jnp.where(mass > 0.0, jnp.clip(heat, low, ends.max() + jnp.maximum(more, 0.0) * self.temperature), 0.0)
         return jnp.maximum(mass, 0.0), heat
 
@@ -258,7 +258,7 @@ def make_gas(
         gas_constant: [J/(kg K)].
         ambient_pressure: Absolute pressure outside [Pa].
         dead_volume: [m^3].
-        adiabatic: Whether the gas exchanges no heat.
+        adiabatic: True if the gas exchanges no heat.
         closed_by: "clamp" or "mold".
 
     Raises:

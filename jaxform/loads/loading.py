@@ -52,7 +52,7 @@ class Loading:
     time 0, `after` advances it from the start of each step to the start of the next, and `at` has it as an argument.
 
     Attributes:
-        follows_volume: Whether the pressure depends on the enclosed volume; if not, steps do not compute it.
+        follows_volume: True if the pressure depends on the enclosed volume; if not, steps do not compute it.
     """
 
     follows_volume: ClassVar[bool] = True

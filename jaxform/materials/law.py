@@ -62,8 +62,8 @@ class Law(_Dense):
     Attributes:
         viscous: Prony terms, whose stress is added to the long-term stress of the model; None for an elastic material.
         shift: Time-temperature shift; None for a material that does not depend on temperature.
-        tension_field: Whether the sheet wrinkles where it would be compressed; see `jaxform.materials.tension_field`.
-        held_taut: Whether slack elements have the tangent of barely taut ones: for the stable step, not for forces.
+        tension_field: True if the sheet wrinkles where it would be compressed; see `jaxform.materials.tension_field`.
+        held_taut: True if slack elements have the tangent of barely taut ones: for the stable step, not for forces.
     """
 
     viscous: Modes | None = dataclasses.field(default=None, metadata={"part": True})

@@ -18,8 +18,8 @@ from jaxform.kernels.blocks import materialize
 from jaxform.kernels.elementary import exp2, exp2m1, log2, log2p1
 from jaxform.materials.law import PlaneLaw, law
 
-# Of how alike both stretches are, cosh y - 1 with y = ln(l1 / l2): below it a series serves, whose derivatives are
-# good; so many of its terms are as good as all for powers of up to 20.
+# The stretches are nearly equal below this value of cosh y - 1, y = ln(l1 / l2): there a series is used, whose
+# derivatives are accurate; so many of its terms are as good as all for powers of up to 20.
 _ALIKE, _TERMS = 1e-4, 5
 _LEAST = 1e-30  # of what is above 0 but for rounding
 _LN_2 = 0.6931471805599453
@@ -76,7 +76,7 @@ class Ogden(PlaneLaw):
         if len(mu) != len(alpha):
             problem = f"has {len(alpha)} numbers, mu has {len(mu)}"
             raise InputError(problem, "give one for each term", "material.alpha")
-        # Of zones each place is examined.
+        # With zones each place is examined.
         mu, alpha = np.broadcast_arrays(*(values if values.ndim > 1 else values[:, None] for values in (mu, alpha)))
         if not np.all(alpha):
             raise InputError("has an exponent of 0", "leave that term out", "material.alpha", alpha[:, 0].tolist())
@@ -285,7 +285,7 @@ class _PlaneStretches:
         sine = jnp.sqrt(jnp.where(alike, 1.0, square))
         stretch = jnp.where(alike, 1.0, 1.0 + excess) + sine  # exp(y)
         logs = _LN_2 * log2(area), _LN_2 * log2(stretch)
-        # What all terms use is computed once.
+        # Quantities that all terms use are computed once.
         made = materialize((alike, thickness, excess, square, 0.5 / sine, 1.0 / stretch, *logs))
         self._alike, self.thickness, self.excess, self.sine_squared, self._half_sine, self._shrink, *logs = made
         self._log_area, self._angle = logs

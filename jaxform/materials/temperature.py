@@ -117,7 +117,7 @@ class Shift:
 
     Attributes:
         kind: Its name.
-        stiffens: Whether the factor is one on all moduli too.
+        stiffens: True if the factor is one on all moduli too.
         reference: The temperature [degC] at which the law's numbers hold.
     """
 

@@ -23,7 +23,7 @@ class RelaxedStrain(NamedTuple):
     Attributes:
         trace: l1^2 + l2^2 (n,).
         determinant: (l1 l2)^2 (n,).
-        slack: Where the sheet is narrower than that (n,).
+        slack: Mask of elements where the sheet is narrower than that (n,).
         larger: The larger principal value l1^2 as it is (n,).
         half: Half of l1^2 - l2^2 as it is (n,), where it is slack.
         turn: Change of the energy with l1^2, over that with the trace at constant determinant, and over
@@ -62,7 +62,7 @@ def relax_slack_strain(trace: jax.Array, determinant: jax.Array, square: jax.Arr
     pulled = jnp.maximum(larger, 1.0)
     narrow = jnp.sqrt(pulled)  # the determinant of uniaxial tension
     slack = determinant < narrow
-    # Where it is slack they differ by as much as that. Next to no strain rounding says otherwise.
+    # In slack elements they differ by at least that; at almost no strain, rounding errors would hide it.
     half = jnp.maximum(half, 0.5 * (pulled - narrow))
     # One division for both.
     width, twice = pulled * narrow, 2.0 * half

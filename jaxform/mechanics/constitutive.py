@@ -37,7 +37,7 @@ class ViscousMemory:
         history: (4 n_mode, n), four rows a mode; in loops over blocks a list of them.
         gain: (n_mode,), or of each element (n_mode, n).
         kind: Name of the kind of modes.
-        only_slope: Whether `history` is the stress itself, and the gain says only how it answers to a change.
+        only_slope: True if `history` is the stress itself, and the gain says only how it answers to a change.
     """
 
     history: Any
@@ -273,7 +273,7 @@ def tangent_stiffness(strain: Invariants, material: Law) -> jax.Array:
     second derivatives of W by the stretches (a, b), and its slopes over sums and differences of them.
     """
     if material.tension_field:
-        # What is slack may be taut before the window's end.
+        # A slack element may become taut before the window's end.
         strain, _ = relax_strain(strain)
     a, b = principal_stretches(strain)
     if isinstance(material, PlaneLaw):

@@ -39,11 +39,11 @@ class Elements:
         triangles: Places of the nodes (3, capacity).
         inverse_metric: Inverse of the initial metric (3, capacity) [1/m^2].
         area: Initial area (capacity,) [m^2].
-        orientation: Where elements stand in pairs, the first in a block's first half and the second in its second:
-            whether the order of the nodes, which starts with the common edge, is that of the element's normal
-            (capacity,), 1, or is not, -1; 0 beyond them. None where they stand one by one.
+        orientation: 1 where the order of the nodes, which starts with the common edge, is that of the element's normal,
+            else -1; 0 beyond the elements (capacity,). The first element of a pair is in a block's first half, the
+            other in its second. None where elements stand one by one.
         origin: A point (3,) [m] on every symmetry plane, from which the enclosed volume is counted.
-        slots: Where the corners' shares of each node are (depth, place): corner times capacity plus element. Of a pair
+        slots: Indices of the corners' shares of each node (depth, place): corner times capacity plus element. Of a pair
             both ends of the common edge share the first row, half by half, and the nodes apart have the second.
         overflow, overflow_into: Further shares (k,), of nodes with more elements than `slots` is deep, and the shares
             of these nodes that they are added to.
@@ -242,7 +242,7 @@ class FieldRule(NamedTuple):
     """Rule for transferring a nodal field from one list of nodes to another.
 
     Attributes:
-        smooth: Whether it carries a derivative.
+        smooth: True if it carries a derivative.
         beyond: Its value at places where there is no node; None where any will do.
         absent: Its value in a result at nodes that do not exist; None where the result has their initial value.
     """

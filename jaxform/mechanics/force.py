@@ -61,15 +61,15 @@ def corner_cotangents(
     Args:
         load: Arguments of the force.
         elements: Its elements.
-        wanted: Which leaves of the load; of the material and the memory those of the response's
-            numbers, in their order.
+        wanted: Flags of the leaves of the load; of the material and the memory those of the response's numbers, in
+            their order.
         nodal: Cotangent of the nodal force; None where there is none.
         volume: That of the volume; None where there is none.
         into: Capacity for corner forces, from `allocate_corner_forces`; empty where the positions' cotangent is not
             wanted.
         summed: Sums over steps that are added to, those of `zero_sums`.
-        forces: Whether `corner_forces` is computed along with it, since most of it is at hand; `into` then has room
-            for the corners' cotangents and, after them, their forces.
+        forces: True if `corner_forces` is computed along with it, since most of it is at hand; `into` then has room for
+            the corners' cotangents and, after them, their forces.
 
     Returns:
         The corners' cotangents, the sums, and the cotangents of the pressure and of all the response's numbers that
@@ -114,7 +114,7 @@ def corner_cotangents(
             if varies or wanted_zones:
                 spread = {name: zones[name] for name in wanted_zones}
                 if varies:
-                    # Of a list of numbers each has a row.
+                    # Each number of a list has a row.
                     spread |= {name: _rows(number, area.size) for name, number in single.items()}
                 pull = jax.vjp(lambda p: weighted_stress(g, inverse, weight, present.with_numbers(p)), spread)[1]
                 found = {name: list(rows.reshape(-1, area.size)) for name, rows in pull(half_change)[0].items()}

@@ -160,7 +160,7 @@ class Ring(NamedTuple):
 
     Attributes:
         count: Number of nodes, and of segments.
-        turned: Whether the first node is half a segment off the x axis.
+        turned: True if the first node is half a segment off the x axis.
     """
 
     count: int

@@ -155,7 +155,7 @@ def turn_rings(meridian: Meridian, size: float, symmetry: str, parts: int) -> tu
         meridian: The meridian.
         size: Element size [m].
         symmetry: "none", "half" or "quarter".
-        parts: How many such parts are the whole.
+        parts: Number of such parts in the whole.
 
     Returns:
         Nodes (n, 3) [m], the pole first, then ring by ring; triangles (m, 3), counter-clockwise seen against the axis

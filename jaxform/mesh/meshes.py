@@ -57,7 +57,7 @@ def read_mesh(path: str | Path, *, scale: float = 1.0, further: bool = False) ->
     Args:
         path: The file; its ending defines the format.
         scale: Metres per unit of length of the file.
-        further: Whether input files of other programs are read too: Abaqus' and CalculiX' INP, Nastran's BDF, NAS and
+        further: True if input files of other programs are read too: Abaqus' and CalculiX' INP, Nastran's BDF, NAS and
             FEM, Medit's MESH.
 
     Returns:

@@ -76,7 +76,7 @@ def crossing_point(corners: Array, *, closed: bool = True) -> Array | None:
 
     Args:
         corners: Corners (n, 2) [m].
-        closed: Whether a side joins the last corner to the first.
+        closed: True if a side joins the last corner to the first.
     """
     count = len(corners) if closed else len(corners) - 1
     begin, end = corners[:count], np.roll(corners, -1, axis=0)[:count]
@@ -234,7 +234,7 @@ def smallest_rectangle(corners: Array) -> OrientedRectangle:
 
 
 def _rectangle_at(corners: Array, angle: float) -> OrientedRectangle:
-    # Of the four ways to say the same rectangle the one that turns least.
+    # The rectangle has four descriptions; this is the one with the smallest angle.
     turned = angle - np.pi / 2 if angle > np.pi / 4 else angle
     axes = OrientedRectangle(np.zeros(2), np.zeros(2), turned).axes
     along = corners @ axes.T

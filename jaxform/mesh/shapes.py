@@ -109,7 +109,7 @@ def clamped_nodes(mesh: Mesh, clamp: str, rim: NDArray[np.int64]) -> NDArray[np.
 
 Symmetry = Literal["none", "half", "quarter"]
 PARTS: dict[str, int] = {"none": 1, "half": 2, "quarter": 4}
-"""How many copies of the modelled part make the whole."""
+"""Number of copies of the modelled part that make the whole."""
 PLANES: dict[str, tuple[int, ...]] = {"none": (), "half": (0,), "quarter": (0, 1)}
 """Components of the position that the cut planes fix."""
 

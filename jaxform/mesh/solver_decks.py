@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _SURFACE = re.compile(r"(?:STRI|S|M3D|SFM3D|R3D|DS|F3D|CPS|CPE|CPEG|WARPF?2D)(65|3|4|6|8|9)(?:[A-Z]\w*)?")
 _NODES = {"3": (3, 3), "4": (4, 4), "6": (6, 3), "65": (6, 3), "8": (8, 4), "9": (9, 4)}
-"""Of surface elements by the number in their name: all nodes, and the corners, which come first."""
+"""Numbers of all nodes and of corners, which come first, by the number in a surface element's name."""
 _SOLID = re.compile(r"(?:C3D|CCL|CSS|SC[68]|DC3D|AC3D|COH3D|EC3D|FC3D|PC3D|Q3D)\w*")
 _ELSEWHERE = {
     "INCLUDE": "includes other files",

@@ -50,7 +50,7 @@ class Field:
     the value at a node may depend on data of the same node only. Gradients use checkpoints.
 
     Attributes:
-        rests: Whether values are constant at nodes in contact. Otherwise these are computed in each step.
+        rests: True if values are constant at nodes in contact. Otherwise these are computed in each step.
     """
 
     rests: ClassVar[bool] = False

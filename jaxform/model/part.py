@@ -24,7 +24,7 @@ class Trim:
     Attributes:
         at: Its position along the axis [m].
         axis: 0, 1 or 2.
-        above: Whether the part is above it.
+        above: True if the part is above it.
     """
 
     at: jax.Array

@@ -72,15 +72,15 @@ class Solver:
         damping: Mass-proportional damping [1/s], rho h0 (a + damping v) = f; None leaves the term out.
         gravity: Acceleration of gravity (3,) [m/s^2]; None leaves the term out.
         safety: Fraction of the stable step that is taken.
-        skip_stuck: Whether elements with all nodes in contact are removed from the active set.
-        skip_far: Whether contact is tested only for nodes that can reach the mold within a window.
-        end_early: Whether the run ends when nothing can move any more.
-        sharp_step: Whether the stable step is computed by Lanczos' method; else it is bounded element by element.
-        quasi_static: Whether the process is meant to be slow; there is a warning if inertia or damping affects the
+        skip_stuck: True if elements with all nodes in contact are removed from the active set.
+        skip_far: True if contact is tested only for nodes that can reach the mold within a window.
+        end_early: True if the run ends when nothing can move any more.
+        sharp_step: True if the stable step is computed by Lanczos' method; else it is bounded element by element.
+        quasi_static: True if the process is meant to be slow; there is a warning if inertia or damping affects the
             wall.
-        self_contact: Whether films stick to each other that meet back to back in a fold, a web.
-        edge_contact: Whether sides of elements are held at sharp edges of tools that they would pass between two nodes.
-        smooth_landing: Whether nodes land on curved paths and stop at that very time, not at the end of a step, so that
+        self_contact: True if films stick to each other that meet back to back in a fold, a web.
+        edge_contact: True if sides of elements are held at sharp edges of tools that they would pass between two nodes.
+        smooth_landing: True if nodes land on curved paths and stop at that very time, not at the end of a step, so that
             slopes of a run follow the trend of its results.
         max_steps: Largest number of steps of `run`.
     """
@@ -113,7 +113,7 @@ class Refinement:
         proximity_factor: Distance that counts as near, as a multiple of the element's longest side.
         jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
         mass_scaling_levels: Number of the finest levels whose mass is scaled, so that they do not shorten the step.
-        at_rest: Whether new nodes start at rest if their distance to the mold is below half the length of their edge,
+        at_rest: True if new nodes start at rest where they are closer to the mold than half the length of their edge,
             or the reach of the search grid; above one length they have the velocity of their edge, in between a
             fraction of it. Without it all new nodes have the velocity of their edge, which conserves the momentum, but
             makes a replay discontinuous where a node comes into contact close to a window boundary.
@@ -156,7 +156,7 @@ class Scene:
         name: Name of the scene.
         fields: User-defined nodal fields, by name.
         cooling: Cooling of the sheet; None where it keeps its temperature.
-        fill: Whether the mold is to be filled: if not, the status of a run has `UNFILLED`.
+        fill: True if the mold is to be filled: the status of a run that leaves a gap then has `UNFILLED`.
         part: The part of the formed sheet; None where all of it is the part.
         tools: Tools besides the mold, such as plugs.
     """

@@ -41,7 +41,7 @@ class ElementPairs:
         pair: The pair of each element (n_element,).
         triangles: Node numbers (3, n_element) in that order.
         inverse_metric: Inverse of the initial metric in that order (3, n_element) [1/m^2].
-        orientation: Whether the order is that of the element's normal (n_element,): 1, or -1.
+        orientation: 1 where the order is that of the element's normal, else -1 (n_element,).
     """
 
     element: jax.Array
@@ -183,9 +183,9 @@ class Precomputed:
         box: Box of sheet and mold: a sheet far outside of it has left its mold; None without a mold.
         grid: Search structure of the mold, or None.
         tool_grids: Those of the other tools.
-        neighbors: Of the mold and the tools in their order, the triangles (n_triangle, 3) beside each side of a
+        neighbors: For the mold and the tools in their order, the triangles (n_triangle, 3) beside each side of a
             triangle, signed and counted from 1 as in `State.wall`; empty where all of them stick.
-        edges: Of the mold and the tools in their order, the sharp edges (4, n_edge) at which sides of elements are
+        edges: For the mold and the tools in their order, the sharp edges (4, n_edge) at which sides of elements are
             held: the vertices at their ends, then the third corner of both faces. Empty where sides are not held.
         initial_tool: The number (n_node,) of the surface that nodes touch at the start; None with a single surface.
         forest: Hierarchy that the mesh can be refined to, or None.

@@ -56,8 +56,8 @@ def find_initial_contact(
     pushed = np.sign(pushes[np.flatnonzero(pushes)[:1]]).sum() or 1.0
     facing = np.einsum("ij,ij->i", pushed * _normals(positions, triangles)[node], normal[triangle])
     inward = np.einsum("ij,ij->i", _inward_directions(positions, triangles)[node], normal[triangle])
-    # What pressure pushes against comes first; where the mold stands across the sheet, the sheet is where its own
-    # elements are.
+    # Triangles that the pressure pushes against come first; where the mold stands across the sheet, the side is that of
+    # the sheet's own elements.
     square = np.abs(facing) >= _FACING
     order = np.lexsort((-gap, np.round(np.abs(facing), 6), node))
     last = order[np.flatnonzero(np.diff(node[order], append=-1))]
@@ -65,7 +65,7 @@ def find_initial_contact(
     wall = np.zeros(len(positions), np.int32)
     wall[node[last]] = side[last] * (triangle[last] + 1)
     moved = positions.copy()
-    # What is on the mold to rounding stays where it is.
+    # Nodes that are on the mold but for rounding errors are not moved.
     last = last[gap[last] > np.finfo(float).eps * float(grid.size)]
     moved[node[last]] = nearest_places(positions[node[last]], corners[triangle[last]])
     return wall, np.where(np.asarray(parison.fixed), positions, moved)

@@ -115,7 +115,7 @@ def build_scene(
             mean thickness of the ends of their edge at new nodes.
         fields: Nodal fields of the sheet, by name, with a value at each node of the parison.
         cooling: Cooling of the sheet; None where it keeps its temperature.
-        fill: Whether the mold is to be filled: if a gap of a fifth of its depth remains, the status has `UNFILLED`.
+        fill: True if the mold is to be filled: if a gap of a fifth of its depth remains, the status has `UNFILLED`.
         part: The part of the formed sheet, from `make_part`, to which statistics, objectives and pictures refer; all of
             it by default.
         tools: Tools besides the mold, each with a name of its own, motion and contact law.

@@ -119,8 +119,8 @@ _OUTSIDE = 0.02  # of the mold's size, that a sheet may reach out of its box
 _NEXT_TO = 1e-4  # of the sheet's size
 _MOST_ASKED = 3000  # elements checked for passing through the sheet
 _TORN = 0.01  # of the initial thickness: a thinner free wall is implausible
-# Of the initial thickness, of a wall on the mold. Sheets are drawn to some 10 times their area; 50 times leaves a film
-# of 20 um of 1 mm.
+# Share of the initial thickness of a wall on the mold. Sheets are drawn to some 10 times their area; 50 times leaves
+# 20 um of 1 mm.
 _THIN = 0.02
 
 
@@ -137,7 +137,7 @@ def thinnest_element(result: Result, scene: Scene) -> dict[str, Any]:
 
 def warnings_of_part(result: Result, scene: Scene) -> list[str]:
     """A sentence for each likely error in a part, with the remedy."""
-    # Of a run that broke off, but for a sheet that ran away, the status says more.
+    # The status of a run that broke off says more, unless the sheet ran away.
     reported = Status.RUNAWAY | Status.ESCAPED | Status.BURST | Status.UNBALANCED | Status.UNFILLED
     broken = int(result.status) & ~reported
     if broken or not np.isfinite(np.asarray(result.positions)).all():

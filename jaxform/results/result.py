@@ -181,8 +181,8 @@ class Result:
         pressures: Times [s] and pressures [Pa] (2, n), where `run` met a pressure that follows the enclosed volume.
         contacts: Times [s], and shares of the formed area on each of the scene's surfaces (1 + n_surface, n), where
             nodes may slide and `run` recorded them.
-        contact_periods: When nodes first came into contact with each surface, and the last of these times at which one
-            was (n_surface, 2) [s]; NaN for never, None where `contacts` is.
+        contact_periods: Times at which nodes first came into contact with each surface, and the last of these at which
+            one was (n_surface, 2) [s]; NaN for never, None where `contacts` is.
         held_sides: Number of places where a side of an element is held at an edge of a tool; None where none can be.
         out_of_range: Numbers of the scene out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 if none. None for `run`, which refuses them.
@@ -247,13 +247,13 @@ def make_result(
         scene: The scene.
         first: The initial sheet.
         taken: The windows that were taken, as the first parts of a `Schedule`.
-        last: Whether the run has ended: a sheet that cannot move any more cools on until the end time.
+        last: True if the run has ended: a sheet that cannot move any more cools on until the end time.
     """
     now, adaptivity, mesh = present_discretization(scene, state.mesh, first), scene.adaptivity, state.mesh
     sheet = now.sheet
     _, edge1, edge2 = membrane.edges(state.nodes.positions, sheet.triangles)
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
-    # What has wrinkled is as thick as the material that lies in folds.
+    # A wrinkled element is as thick as the material in its folds.
     relaxed = membrane.relax_strain(strain)[0] if scene.material.tension_field else strain
     ratio = 1.0 / jnp.sqrt(relaxed.determinant)
     count = now.mass.size

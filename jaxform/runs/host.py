@@ -191,7 +191,7 @@ def _run(
     compiling += time.perf_counter() - paused
     telling += time.perf_counter() - paused
     final = padded.result(made(state, scene, first, taken, _LAST))
-    # What the caller does in between, such as writing frames, is not the loop.
+    # The loop's time excludes that of the caller in between, such as for writing frames.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
     recorded = {
         "pressures": np.array(pressures).T if pressures else None,

@@ -161,7 +161,7 @@ def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Pa
     Args:
         scene: The scene.
         least: Smallest number of elements, before refinement, that the sizes allow for.
-        recorded: Whether its windows are only recorded, as by `run`, and no derivative is taken.
+        recorded: True if its windows are only recorded, as by `run`, and no derivative is taken.
     """
     if scene.tables.counts is not None:
         return PaddedScene(scene, scene, None)

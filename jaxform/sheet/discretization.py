@@ -218,7 +218,7 @@ def first_mesh(scene: Scene, adaptivity: Adaptivity) -> RefinedMesh:
     node = jnp.arange(forest.node_room, dtype=jnp.int32)
     place = jnp.arange(forest.owner.size, dtype=jnp.int32)
     corner, row = 4 * roots[None] + jnp.arange(3, dtype=jnp.int32)[:, None], forest.root_row
-    # What is beyond the first triangles goes nowhere.
+    # Entries beyond the first triangles are dropped.
     there = roots < counts.elements
     at = jnp.where(there, forest.sheet.triangles[:, : forest.root_count], node.size)
     element = jnp.zeros(room, jnp.int32).at[roots].set(jnp.where(there, roots, 0))

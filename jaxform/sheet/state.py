@@ -255,7 +255,7 @@ def initial_node_state(
     Args:
         scene: The scene.
         node: Their numbers; None for all nodes.
-        opened: Whether the clamp is open, where it opens at some time: what it held is then as all other nodes.
+        opened: True if the clamp is open, where it opens at some time: what it held is then as all other nodes.
 
     Returns:
         `stuck`, `contact_time` [s], `wall` and `tool`, as in `Nodes`.

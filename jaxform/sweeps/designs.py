@@ -46,7 +46,7 @@ class DesignRow:
         number: Its place in the sweep, from 1.
         values: Its values by path; what is not there is as in the scene.
         document: Its scene; None where it is none that can be simulated.
-        error: What is wrong with it, in one line; empty where nothing is.
+        error: The fault of the row, in one line; empty where there is none.
         digest: Hash of all that determines its result: values, scene, and contents of the files that it names.
     """
 
@@ -218,7 +218,7 @@ def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None
         table: Their values.
         scene: Scene of those that name none in the column `scene`: a built-in name or a path; None without one.
         base: Base of a relative path of that scene; by default the working directory.
-        about: What else determines the results, for the digest.
+        about: Further input that determines the results, for the digest.
 
     Raises:
         InputError: The scene is wrong whatever the row, or a column is no key in any row.

@@ -51,7 +51,7 @@ class Records:
         folder: Folder of the results.
         paths: Columns of the variables.
         measures: Columns of what is computed.
-        resume: Whether rows that are there are kept.
+        resume: True if rows that are there are kept.
 
     Attributes:
         path: The file.
@@ -250,10 +250,10 @@ def record_designs(
 
     Args:
         designs: All designs.
-        function: What a worker does; see `evaluation.simulate_design` for its outcome.
+        function: The function that a worker calls; see `evaluation.simulate_design` for its outcome.
         argument: Its argument for a design.
-        executor: Where it is done.
-        records: Where it is recorded, and what is so already.
+        executor: The executor of the calls.
+        records: The record, with the rows that are complete.
         on_row: Called before the first row, and after each.
 
     Raises:

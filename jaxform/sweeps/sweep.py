@@ -51,7 +51,7 @@ def sweep(
         workers: Number of processes where no executor is given.
         out: Folder for results.csv, to which a row is added as each outcome arrives; none by default. The function
             then returns a mapping of names to numbers, or a number.
-        resume: Whether outcomes that the table in that folder has are read, not computed again: of the same values,
+        resume: True if outcomes that the table in that folder has are read, not computed again: of the same values,
             scene and function, by its name.
         on_outcome: Called with the place and the outcome of each, as they arrive.
 

@@ -229,7 +229,7 @@ def connect(address: str) -> DaskWorkers:
     except ImportError:
         remedy = "install it: pip install 'jaxform[cluster]'"
         raise InputError("needs Dask, which is not installed", remedy, "--scheduler", address) from None
-    # What it tells of lost connections is told here in one line.
+    # Its messages on lost connections are replaced by one line.
     for name in [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:

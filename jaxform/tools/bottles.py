@@ -343,7 +343,7 @@ def _parting_normal(outside: Outside) -> Array:
             "differ"
         )
         raise InputError(problem, "write the scene by hand, with one half as [mold] and the other as [[tool]]")
-    # Of nearly equal widths, the plane that fits best.
+    # Among nearly equal widths the plane that fits best is taken.
     return planes.normal(angles[int(np.lexsort((error, np.round(extent / length, 2), ~mirrored))[0])])
 
 
@@ -404,7 +404,7 @@ class Revolution(NamedTuple):
     """A body of revolution.
 
     Attributes:
-        origin: Where the axis meets the plane of the narrow end, the neck (3,) [m].
+        origin: Intersection of the axis and the plane of the narrow end, the neck (3,) [m].
         axis: Unit vector along the axis from the neck to the other end (3,).
         profile: Points r, z [m] of the outside, z from the neck on, from the axis at the far end to the neck (k, 2).
         variation: Variation of the radius around the axis, relative, root mean square.

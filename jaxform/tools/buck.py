@@ -41,8 +41,8 @@ class Buck:
         base: Height of the platen [m], after turning.
         top: Height of what the sheet meets first [m], after turning; less than the base.
         body: Pixels (ny, nx) of what stands above the base.
-        on_platen: Whether the mold has a platen around the body.
-        flat: Whether it has a base; else the platen is where it is widest.
+        on_platen: True if the mold has a platen around the body.
+        flat: True if it has a base; else the platen is where it is widest.
         others: Names of other sides from which the sheet may be meant to come.
     """
 
@@ -185,10 +185,11 @@ def _place_mold(surface: ViewedSurface, stand: _Stand, size: float, others: list
     vertices, _, _ = surface
     lowest = float((vertices @ view.turn[2]).max())
     on_platen = share >= opening.RIM and body.any() and ground.sum() >= _GROUND * view.inside.sum()
-    # What is thick is the lower part of a stepped body.
+    # A thick plate is the lower part of a stepped body.
     on_platen = bool(on_platen) and lowest - level <= _THICK * (level - float(view.height.min()))
     top, widest = float(view.height.min()), float(np.quantile(view.height[np.isfinite(view.height)], _WIDEST))
-    # What is round below is cut where it is widest; what widens upwards, or ends in a rough back, stands on its end.
+    # A body that is round below is cut where it is widest; one that widens upwards, or ends in a rough back, stands on
+    # its end.
     low, high = (top + share * (lowest - top) for share in _MIDDLE)
     middle = low < widest < high
     flat = is_open or stand.foot >= _STANDS or not middle

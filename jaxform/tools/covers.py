@@ -216,7 +216,7 @@ def _curved_triangles(mold: Mesh) -> Integers:
     piece = topology.components(mold.triangles, len(mold.positions))[mold.triangles[:, 0]]
     corners = mold.positions[mold.triangles]
     across = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    # Of a flat piece all normals are along one line: the moment of its areas has one eigenvalue.
+    # All normals of a flat piece are along one line: the moment of its areas has one eigenvalue.
     weight = np.linalg.norm(across, axis=1)
     moment = across[:, :, None] * across[:, None] / np.maximum(weight, 1e-300)[:, None, None]
     total = np.stack([np.bincount(piece, moment[:, i, j]) for i in range(3) for j in range(3)], axis=1)

@@ -59,7 +59,7 @@ def near_pairs(
     cell = _cell_index(middle, cells)
     kind = np.ceil(CLASSES * radius * (1 + _SLACK) / reach).astype(np.int64) - 1
     begin, end = cells.start[cell], cells.ends[CLASSES * cell + np.clip(kind, 0, CLASSES - 1)]
-    # Of a fine mold few triangles are near to a few pieces.
+    # In a fine mold few triangles are near to a few pieces.
     few = int((end - begin).sum()) < len(mold_corners)
     bounds = None if few else _boxes_and_planes(mold_corners)
     for row, place in expand_ranges(begin, end):

@@ -32,7 +32,7 @@ class NearestPlaces(NamedTuple):
         triangle: The triangle of each place (n,).
         place: The places (n, 3) [m].
         distance: Distances of the points from them (n,) [m].
-        at_rim: Whether they are on the rim of an open surface (n,).
+        at_rim: True where they are on the rim of an open surface (n,).
     """
 
     triangle: NDArray[np.int64]
@@ -174,7 +174,7 @@ class Distances:
             points: The points.
             measure: Measures some of them (k,), by `exact` or `nearest`; returns the largest value [m] so far.
             above: The value [m] that must be exceeded.
-            beyond: How far (n,) [m] the value of each may exceed its distance.
+            beyond: Largest excess (n,) [m] of the value of each over its distance.
         """
         best, count, left = above, _ASKED, np.arange(len(points))
         beyond, bound = np.broadcast_to(beyond, len(points)), self.upper_bounds(points)

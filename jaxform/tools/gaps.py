@@ -41,7 +41,7 @@ class Gap(NamedTuple):
 
 
 NO_GAP = Gap(0.0, np.zeros(3), -1)
-"""Where the sheet lies on all of the mold, or there is none."""
+"""The gap of a sheet that lies on all of the mold, or has none."""
 
 
 def widest_gap(
@@ -63,16 +63,16 @@ def widest_gap(
     another part of the mold hides from it, is no gap; nor is what is nearest to its clamped edge, which ends there.
 
     Args:
-        positions: Of the nodes (n_node, 3) [m].
+        positions: Positions of the nodes (n_node, 3) [m].
         triangles: Their elements (n_element, 3), along whose normals pressure acts.
-        wall: What each node sticks to (n_node,), see `Result.wall`.
+        wall: Triangle in contact with each node (n_node,), see `Result.wall`.
         clamped: Nodes of its edge (n_node,).
         push: The pressure [Pa]; its sign alone counts.
         mold: The mold.
         grid: Its search structure; made here by default.
         held: Elements (n_element,) before which nothing counts; those with a clamped node by default.
         counts: Says which places of the mold (n, 3) [m] count (n,); all by default.
-        places: Of the mold (n, 3) [m] that are examined; those of `mold_points` by default.
+        places: Points of the mold (n, 3) [m] that are examined; those of `mold_points` by default.
     """
     places = mold_points(mold) if places is None else places
     if not len(triangles) or not len(places):

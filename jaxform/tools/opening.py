@@ -60,7 +60,7 @@ class Opening:
         level: Height of the clamp plane [m], after turning.
         base: Height [m] of the rim or of the base plate.
         cavity: Pixels (ny, nx) behind the clamp plane that are to be formed.
-        male: Whether the sheet is formed over what stands out, not into what is hollow.
+        male: True if the sheet is formed over what stands out, not into what is hollow.
         rim: Share of the edge that is at the height of the rim.
         depth: Depth of what is formed [m].
         others: Unit vectors (3,) to other sides, in the file's axes, on which a cavity holds nearly as much.
@@ -84,7 +84,7 @@ def find_opening(
     Args:
         vertices: Positions (n, 3) [m], welded.
         triangles: Vertex numbers (m, 3).
-        male: Whether what stands out is searched for; by default what holds more.
+        male: True if what stands out is searched for; by default what holds more.
         direction: Unit vector (3,) to the side from which the sheet comes; by default the best of many.
 
     Raises:

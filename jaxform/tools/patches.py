@@ -99,7 +99,7 @@ def _relax_points(points: Array, quads: Integers, free: Mask) -> Array:
     size = (len(points), len(points))
     graph = coo_array((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=size).tocsr()
     graph = ((graph + graph.T) > 0).astype(float)
-    # What hangs on nothing that is drawn to the wall stays where it is.
+    # Free points that are connected to no fixed one keep their places.
     group = csgraph.connected_components(graph, directed=False)[1]
     inner = np.flatnonzero(free & np.isin(group, group[~free]))
     if not len(inner):
@@ -240,7 +240,7 @@ def widest_chamber(mold: Mesh) -> tuple[float, float, CellGrid] | None:
         deepest = float(away[inner].max(initial=0.0))
         if half > _NARROW * deepest:
             continue
-        # What a ball of that size, which rolls outside, does not touch; corners outside are no hollow.
+        # The hollow is what a ball of that size, rolling outside, does not touch; outer corners are none.
         rolled: Any = ndimage.distance_transform_edt(~(wide & ~inner))
         part, _ = label_cells(air & (rolled > half))
         hollow = np.isin(part, np.unique(part[inner])) & (part > 0)
@@ -372,7 +372,7 @@ def label_cells(mask: Mask, corners: bool = False) -> tuple[NDArray[np.int64], i
 
     Args:
         mask: The cells.
-        corners: Whether cells that meet in an edge or a corner are connected.
+        corners: True if cells that meet in an edge or a corner are connected.
     """
     from scipy import ndimage
 

@@ -85,9 +85,9 @@ def penetration(
     """Measures the penetration of the mold by a sheet.
 
     Args:
-        positions: Of the nodes (n_node, 3) [m].
+        positions: Positions of the nodes (n_node, 3) [m].
         triangles: Their elements (n_element, 3).
-        wall: What each node sticks to (n_node,), see `Result.wall`.
+        wall: Triangle in contact with each node (n_node,), see `Result.wall`.
         mold: The mold.
         grid: The mold's search structure; made here by default.
         resting: Unit directions (n_node, 3) against the pressure's push, of nodes that are where they began; 0 of the
@@ -139,8 +139,8 @@ def resting_directions(start: Array, end: Array, triangles: Integers, pressure: 
     """Unit directions (n_node, 3) against the pressure's push, of nodes that are where they began; else 0.
 
     Args:
-        start: Where the nodes began (n_node, 3) [m].
-        end: Where they are (n_node, 3) [m].
+        start: First positions of the nodes (n_node, 3) [m].
+        end: Their present positions (n_node, 3) [m].
         triangles: The elements (n_element, 3), whose normals are those along which pressure acts.
         pressure: The pressure [Pa]; its sign alone counts.
     """
@@ -155,7 +155,7 @@ def pull_direction(start: Array, triangles: Integers, pressure: float) -> Array 
     """The unit vector (3,) from which the pressure pushes a sheet as a whole; None where that is curved too much.
 
     Args:
-        start: Where the nodes began (n_node, 3) [m].
+        start: First positions of the nodes (n_node, 3) [m].
         triangles: The elements (n_element, 3), whose normals are those along which pressure acts.
         pressure: The pressure [Pa]; its sign alone counts.
     """

@@ -67,7 +67,7 @@ def _middle(found: Opening, room: Array) -> Array:
     parts, _ = outlines.label_parts(farthest)
     places = found.view.places(parts == np.argmax(np.bincount(parts.ravel())[1:]) + 1)
     middle = places.mean(0)
-    # Of a ring, the middle is none of its places.
+    # The middle of a ring is none of its places.
     return places[int(np.argmin(np.linalg.norm(places - middle, axis=1)))]
 
 

@@ -56,12 +56,12 @@ class _Spots(NamedTuple):
     """Places inside what a sheet passed through.
 
     Attributes:
-        place: Where they are (n, 3) [m].
-        width: How wide the mold is there (n,) [m].
+        place: Their positions (n, 3) [m].
+        width: Width of the mold there (n,) [m].
         way: Unit vectors (n, 3) up along it.
         along: Unit vectors (n, 3) along a rib, square to `way`; 0 of a pin.
-        rise: How far such a vector leads away from the sheet (n,).
-        side: Of the element that is cut (n,) [m].
+        rise: Component of `way` away from the sheet (n,).
+        side: Side of the element that is cut (n,) [m].
     """
 
     place: Array
@@ -240,7 +240,7 @@ def _distances_out(
         spots: The places.
         length: The longest distances that are looked for (n,) [m].
         way: Unit vectors (n, 3) along which the surface is looked for.
-        by_top: Whether only tops of ribs count.
+        by_top: True if only tops of ribs count.
         mold_corners: Corners of the mold's triangles (n_triangle, 3, 3) [m].
         grid: The mold's search structure.
     """
@@ -313,7 +313,7 @@ def slender_feature(sheet: Array, mold: Array, push: Array, side: float, held: A
         sheet: Corners of the elements (n_element, 3, 3) [m].
         mold: Corners of the mold's triangles (n_triangle, 3, 3) [m].
         push: Unit vector (3,) along which the sheet is pushed.
-        side: Of an element [m].
+        side: Side of an element [m].
         held: Positions of clamped nodes (n, 3) [m]: what is beside them is the rim of the mold.
     """
     across = np.linalg.svd(push[None])[2][1:]
@@ -349,10 +349,10 @@ def _highest(
     A disc does not fill the corners of what is wide enough: what is that near to it is no rib.
 
     Args:
-        above: How far a pixel stands up from what an element can lie on (height, width) [m].
-        way: How far the mold is along the push there [m].
+        above: Height of a pixel over the surface that an element can lie on (height, width) [m].
+        way: Place of the mold along the push there [m].
         filled: The same of what an element can lie on [m].
-        radius: Of an element [pixels].
+        radius: Radius of an element [pixels].
         least: Height [m].
     """
     part, count = outlines.label_parts(above > least)
@@ -370,10 +370,10 @@ def _nearest(corners: Array, along: Array, shape: tuple[int, ...], *, edges: boo
     """The least distance along the push of triangles in each pixel (height, width) [m]; infinite where there is none.
 
     Args:
-        corners: Of the triangles (n, 3, 2), in pixels.
-        along: Of their corners (n, 3) [m].
+        corners: Corners of the triangles (n, 3, 2), in pixels.
+        along: Places of their corners along the push (n, 3) [m].
         shape: Width and height of the map, in pixels.
-        edges: Whether points on the triangles' edges count too, which pixels' middles may miss.
+        edges: True if points on the triangles' edges count too, which pixels' middles may miss.
     """
     width, height = shape
     found = np.full(width * height, np.inf)

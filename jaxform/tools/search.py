@@ -58,9 +58,9 @@ class _Local(NamedTuple):
     Attributes:
         corners: By corner and axis, (3, 3) arrays (n,).
         plane: The unit normal's components and the place of the plane along it, 4 arrays (n,).
-        sides: Of each side its unit vector with the place of its beginning along it, and the unit vector in the plane
+        sides: For each side its unit vector with the place of its beginning along it, and the unit vector in the plane
             to the triangle's inside with the place of the side along that, (3, 2) lists of 4 arrays (n,).
-        lengths: Of the sides, 3 arrays (n,).
+        lengths: Lengths of the sides, 3 arrays (n,).
         shape: Number of cells along each axis, 3 arrays (n,).
         strides: Increment of a cell's number in a step along each axis, 3 arrays (n,).
     """
@@ -103,7 +103,7 @@ def _local(corners: Array, frame: CellFrame) -> _Local:
     places = (corners - frame.corner) / frame.width - 0.5
     steepest = np.argmax(np.abs(np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])), axis=1)
     extent = np.ptp(places, axis=1)
-    # Of the two other axes, the layers are along the one that the triangle is longer along.
+    # The layers are along that of the two other axes along which the triangle is longer.
     one, other = (steepest + 1) % 3, (steepest + 2) % 3
     row = np.arange(len(places))
     turn = extent[row, one] < extent[row, other]
@@ -206,7 +206,7 @@ def _distances(local: _Local, triangle: Integers, begin: tuple[Integers, ...], c
 
     Args:
         local: The triangles.
-        triangle: Of each line of cells (k,).
+        triangle: Triangle of each line of cells (k,).
         begin: The first cell of each line, 3 arrays (k,).
         count: Number of cells of each line (k,).
         step: The number (n,) of each cell along its line.
@@ -267,15 +267,15 @@ class SearchGrid:
         reach: Distance [m] from a cell within which it lists all triangles.
         size: Largest side of the mold's bounding box [m].
         bound: Lower bound (n_cell,) [m] on the distance to the mold from anywhere in the cell.
-        start: Where each cell's list starts (n_cell + 1,) in `listed`.
-        ends: Where those triangles of each cell's list end (n_cell * CLASSES,) that are within a quarter of the reach,
+        start: Index of the start of each cell's list (n_cell + 1,) in `listed`.
+        ends: Ends in each cell's list (n_cell * CLASSES,) of the triangles that are within a quarter of the reach,
             within a half, and so on; the nearer ones come first.
         listed: Rows of the tables below, cell by cell; rows are in an order in which neighbours are close.
-        number: Of the mold's triangle in each row (n_triangle,).
-        outlines: Of each triangle (n_triangle, 8) its middle and the largest distance from it [m], its unit normal
-            and the place of its plane along it [m].
+        number: Number of the mold's triangle in each row (n_triangle,).
+        outlines: For each triangle (n_triangle, 8) its middle and the largest distance from it [m], its unit normal and
+            the place of its plane along it [m].
         far: Wider cells; None where the sheet moves no farther than the cells' reach.
-        frames: Of each triangle (n_triangle, 18) its first vertex D [m], unit normal, the vectors [1/m] whose products
+        frames: For each triangle (n_triangle, 18) its first vertex D [m], unit normal, the vectors [1/m] whose products
             with a point's offset from D are its gamma and delta (Eq. 10), and its edges DE and DF [m].
         shape: Number of cells along x, y, z (3,).
     """
@@ -308,8 +308,8 @@ def build_grid(
     Args:
         vertices: (n_vertex, 3) [m].
         triangles: Vertex numbers (n_triangle, 3).
-        travel: How far the sheet's nodes may well move within a window [m]; the grid is made for it.
-        store: Where the cells' lists are kept between runs; nowhere by default.
+        travel: Way that the sheet's nodes may well move within a window [m]; the grid is made for it.
+        store: The store that keeps the cells' lists between runs; none by default.
     """
     corners = np.asarray(vertices, float)[np.asarray(triangles)]
     frame = _frame(corners, travel)

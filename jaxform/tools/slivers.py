@@ -196,7 +196,7 @@ def _independent(edges: _Edges, some: Integers, length: Array, count: int, rando
         first = np.isfinite(rank)
         first[np.where(rank[one] < rank[other], other, one)] = False
         chosen |= first
-        # What is beside a chosen one is none.
+        # The neighbours of a chosen one are not chosen.
         rank[first] = np.inf
         rank[ends[first[ends].any(1)].ravel()] = np.inf
     return some[chosen[some[:, 0]]]

@@ -85,11 +85,11 @@ class Glide(NamedTuple):
         triangle: The triangle that they are on.
         side: 1 on the side of its normal, -1 on the other.
         left: The part of the step that is left (n,) [s].
-        off: Whether they have left the surface; they wait where they did.
+        off: True where they have left the surface; they wait at that point.
         outward: A direction off the surface there, three times (n,).
         lost: Kinetic energy over mass that they lost in valleys [J/kg].
         rubbed: The same by friction on the faces that they ran into there [J/kg].
-        distance: How far they went [m].
+        distance: Length of their path [m].
     """
 
     position: Vector
@@ -151,9 +151,9 @@ def move_along(
     Args:
         surface: The surface, with its neighbors.
         start: The nodes.
-        pressed: What the forces change their velocities by in the step, three times (n,) [m/s].
+        pressed: Change of their velocities in the step by the forces, three times (n,) [m/s].
         mobile: 1 where a component of the velocity may change, else 0, three times (n,).
-        differentiable: Whether loops have a fixed number of passes.
+        differentiable: True if loops have a fixed number of passes.
     """
 
     def cross_sides(glide: Glide) -> Glide:

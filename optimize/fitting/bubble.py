@@ -45,7 +45,7 @@ def inflate_bubble(law: Law, plan: states.Path, scale: float, viscous: bool) -> 
         law: The material model.
         plan: Steps to the heights.
         scale: The size of the stress [Pa].
-        viscous: Whether the Prony terms count; without them each height is by itself.
+        viscous: True if the Prony terms count; without them each height is by itself.
 
     Both are NaN where no equilibrium is found.
     """

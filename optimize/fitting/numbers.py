@@ -34,7 +34,7 @@ class Number:
         place: Index in a list; None where it is no list.
         allowed: Its range.
         unit: Value of the parameter where the vector has 1, or 0 for a logarithm.
-        logarithmic: Whether the vector has its logarithm.
+        logarithmic: True if the vector has its logarithm.
         lower, upper: Bounds in the vector.
         first: Bounds of a start in the vector.
     """

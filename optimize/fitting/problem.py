@@ -93,8 +93,8 @@ def _data(table: Table) -> tuple[Any, ...]:
 
 
 _BubbleKind = tuple[float, float, float, bool]
-"""What of a bubble a program is compiled for: its sheet's thickness and radius [m], its largest pressure [Pa], and
-whether walls are measured."""
+"""Properties of a bubble that a program is compiled for: thickness and radius of the sheet [m], largest pressure [Pa],
+and whether walls are measured."""
 
 
 def _kind(table: Table) -> str | _BubbleKind:

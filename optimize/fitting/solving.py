@@ -55,7 +55,7 @@ class Solution:
         problem: The fitted problem.
         free: The vector (n,).
         unstable: The state and stretch from which on more strain needs less stress; None for none.
-        held_stable: Whether a better but unstable model was rejected.
+        held_stable: True if a better but unstable model was rejected.
     """
 
     problem: Problem

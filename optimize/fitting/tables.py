@@ -109,7 +109,7 @@ def read_table(source: str) -> Table:
         InputError: There is no such file, or its type of test is unknown.
     """
     kind, path = _split(source)
-    # What no text file could have in it would stop the results later.
+    # Characters that no text file can hold would stop the results later.
     name = " ".join(str(path).encode("utf-8", "backslashreplace").decode().split())
     try:
         columns, settings = _parse(read_text(path), name)
@@ -262,7 +262,7 @@ def _pull(name: str, kind: str, columns: dict[str, Array], settings: dict[str, s
     if time is not None and time[-1] <= 0.0:
         raise InputError("has no time after 0", "give rows at later times", "time", float(time[-1]))
     _warn_of_doubtful_stress(name, keys[0], stretch, stress)
-    # What is not strained says nothing, but of a history it is part.
+    # A row without strain says nothing, unless it is part of a history.
     used = np.abs(stretch - 1.0) > 1e-9 if time is None else np.ones(len(stretch), bool)
     if not used.any() or not np.any(np.abs(stretch - 1.0) > 1e-9):
         raise InputError("has no row with a strain", "give stretches that differ from 1")

@@ -17,7 +17,7 @@ class SealedGas(jaxform.Loading):
     Attributes:
         initial: n R T at first [J].
         content: n R T in the end [J].
-        inflow_time: How long it takes to flow in [s].
+        inflow_time: Duration of the inflow [s].
         dead_volume: Volume of the gas beside that under the sheet [m^3].
         outside: Absolute pressure outside [Pa].
     """

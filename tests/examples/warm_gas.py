@@ -26,11 +26,11 @@ class WarmGas(jaxform.Loading):
     part.
 
     Attributes:
-        mass: At first [kg].
-        temperature: At first [K].
-        inflow: That flows in until the inflow's end [kg/s].
-        inflow_time: When that is [s].
-        inflow_temperature: Of what flows in [K].
+        mass: Initial mass [kg].
+        temperature: Initial temperature [K].
+        inflow: Mass flow until the inflow's end [kg/s].
+        inflow_time: End of the inflow [s].
+        inflow_temperature: Temperature of the inflow [K].
         constant: R [J/(kg K)].
         capacity: c_v [J/(kg K)].
         dead_volume: Volume of the gas beside that under the sheet [m^3].

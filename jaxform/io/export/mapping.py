@@ -308,7 +308,7 @@ def contact_side(
         wall: Surface of the part.
         mesh: The mesh, in the position of the part [m].
         reach: Largest distance from the part [m] at which the mesh gets a wall.
-        whole: Whether a mesh that is no closed solid is returned unchanged.
+        whole: True if a mesh that is no closed solid is returned unchanged.
 
     Returns:
         The mesh of that side, the indices (n,) of its nodes in the given mesh, and its share of the area.

@@ -154,7 +154,7 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
         line = {"label": label, "role": role if number == 0 or results.start else "other", "dots": _is_cloud(curve)}
         kept = _visible_points(curve.arc, curve.thickness, line["dots"])
         line |= _pack(parcel, f"wall{number}", 1e3 * curve.arc[kept], 1e3 * curve.thickness[kept])
-        # Of the part with that number, in the view.
+        # The number of the part in the view.
         line |= {"places": f"chart.places{number}", "part": 0 if role == "after" else 1}
         parcel.add(line["places"], curve.place[kept])
         marked = curve.marked

@@ -99,7 +99,7 @@ class MaterialTable(Table):
         density: Mass per volume [kg/m^3].
         viscous: Prony terms; without them the sheet has no memory.
         shift: Time-temperature shift; without it the sheet's temperature has no effect on its stress.
-        tension_field: Whether the sheet goes slack and wrinkles where it would otherwise be compressed.
+        tension_field: True if the sheet goes slack and wrinkles where it would otherwise be compressed.
     """
 
     law: ClassVar[type[Law]] = Law

@@ -96,7 +96,7 @@ class MoldTable(PlacedTable):
 
     Attributes:
         motion: Motion of the mold; at rest by default.
-        fill: Whether the mold is to be filled; if so, the status reports a gap of a fifth of the opening's depth.
+        fill: True if the mold is to be filled; if so, the status reports a gap of a fifth of the opening's depth.
     """
 
     motion: MotionTable | None = None

@@ -30,7 +30,7 @@ class Adapt(Table):
 
     Attributes:
         elements: Largest number of triangles of the new mesh.
-        passes: How many times the sheet is run and then meshed anew.
+        passes: Number of times that the sheet is run and then meshed anew.
     """
 
     elements: Annotated[int, Field(ge=20, le=10_000_000)] = 2500
@@ -140,7 +140,7 @@ class Tube(_BuiltIn):
         shape: The kind of sheet.
         radius: Radius of the tube [m], or a profile of it along z, as flare and die swell make it.
         length: Its length [m].
-        ends: Whether the end rings are `clamped`, `guided` (they stay in their planes) or `free`: one for both, or two,
+        ends: Support of the end rings: `clamped`, `guided` (they stay in their planes) or `free`; one for both, or two,
             for the end at z = 0 and for that at the length.
         element_size: Side of a triangle [m].
     """
@@ -212,7 +212,7 @@ class Outline(_Sheet):
     Attributes:
         shape: The kind of sheet.
         polygon: Its corners x, y [m] in z = 0, in either order; or
-        mold_rim: Whether it is the opening of the mold, in the plane of its rim.
+        mold_rim: True if it is the opening of the mold, in the plane of its rim.
         element_size: Side of a triangle [m], less where the planform is narrow; or
         elements: Approximate number of triangles.
         planes: Symmetry planes: `x` where the polygon is cut at x = 0.

@@ -42,7 +42,7 @@ class PartTable(Table):
         trim: A plane at which the part is cut off.
         molds: Files of `mold.path`, by name, that the part touches: more of an element's nodes stick to these than to
             others; what touches nothing belongs to what is next to it, and clamped nodes to no file.
-        flash: Whether the flash, which lies on the land of a mold half, counts as part.
+        flash: True if the flash, which lies on the land of a mold half, counts as part.
     """
 
     box: Annotated[list[Triple], Field(min_length=2, max_length=2)] | None = None
@@ -104,9 +104,9 @@ class GasTable(Table):
         ambient_pressure: Absolute pressure outside, and inside at first [Pa].
         dead_volume: Volume of the gas beside that under the sheet [m^3]; a flat sheet needs it. Closed by the mold,
             the volume of the mold's cavity, of the modelled part, of which the sheet takes its share.
-        adiabatic: Whether the gas exchanges no heat and has a temperature of its own; by default it is constant.
-        closed_by: What closes the volume: the `clamp`, that is the plane or the rings in which the sheet is clamped,
-            or the `mold`, for the gas between the sheet and the mold, which resists the sheet.
+        adiabatic: True if the gas exchanges no heat and has a temperature of its own; by default it is constant.
+        closed_by: The surface that closes the volume: the `clamp`, that is the plane or the rings in which the sheet is
+            clamped, or the `mold`, for the gas between the sheet and the mold, which resists the sheet.
     """
 
     time: Annotated[list[Number], Field(min_length=1)] = Field(default_factory=lambda: [0.0])
@@ -174,7 +174,7 @@ class RefinementTable(Table):
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
         proximity_factor: Distance that counts as near, in units of the element's longest side.
         mass_scaling_levels: Number of the finest levels with mass scaling, so that they do not shorten the step.
-        at_rest: Whether new nodes close to the mold start at rest.
+        at_rest: True if new nodes close to the mold start at rest.
         jump: Largest ratio, less 1, of neighbours' thicknesses; unlimited without it.
         elements: Initial capacity for elements; the run increases it as needed.
     """
@@ -202,10 +202,10 @@ class SolverTable(Table):
         damping: Mass-proportional damping [1/s]; none by default.
         gravity: Acceleration of gravity [x, y, z] [m/s^2]; none by default.
         safety: Factor on the longest stable step.
-        quasi_static: Whether a slow process is meant: the run then warns where inertia or damping shows.
-        self_contact: Whether films stick to each other that meet back to back in a fold (a web), while the mold rests.
-        edge_contact: Whether sides of elements are held at sharp edges of tools that they would pass between two nodes.
-        smooth_landing: Whether nodes land on curved paths and stop at that very time, not at the end of a step, so that
+        quasi_static: True if a slow process is meant: the run then warns where inertia or damping shows.
+        self_contact: True if films stick to each other that meet back to back in a fold (a web), while the mold rests.
+        edge_contact: True if sides of elements are held at sharp edges of tools that they would pass between two nodes.
+        smooth_landing: True if nodes land on curved paths and stop at that very time, not at the end of a step, so that
             slopes of a run follow the trend of its results; for tools at rest that the sheet sticks to.
         max_steps: Limit on the steps of a run.
     """

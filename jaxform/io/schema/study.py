@@ -82,9 +82,9 @@ class PressureKnotsTable(Table):
     Attributes:
         kind: The kind of variable.
         bounds: Least and largest pressure [Pa].
-        increasing: Whether the pressure may not fall.
+        increasing: True if the pressure may not fall.
         rate: Largest change over time [Pa/s].
-        held: Whether the first knot keeps its value.
+        held: True if the first knot keeps its value.
         end_time: Least and largest time of the last knot [s]; all are stretched with it.
     """
 
@@ -184,7 +184,7 @@ class LeastMassTable(ObjectiveTable):
     Attributes:
         kind: The kind of objective.
         minimum: Minimum of the wall [m].
-        flash: Whether the mass is that of the whole sheet, with its flash and all that is cut from the part; the
+        flash: True if the mass is that of the whole sheet, with its flash and all that is cut from the part; the
             minimum is that of the part alone.
     """
 
@@ -381,7 +381,7 @@ class SweepVariableTable(Table):
         values: Values to choose from, as the scene file would have them.
         levels: Number of values between the bounds in a full factorial, the bounds included.
         scale: Spacing between the bounds: even, or even in the logarithm.
-        integer: Whether values between the bounds are rounded to whole numbers.
+        integer: True if values between the bounds are rounded to whole numbers.
     """
 
     path: str
@@ -418,7 +418,7 @@ class SweepTable(Table):
         method: All combinations of levels, or points of a Latin hypercube or of a Sobol sequence (scrambled).
         designs: Number of designs of a Latin hypercube or Sobol sequence; of a Sobol sequence best a power of two.
         seed: Seed of the random numbers: the same seed gives the same designs.
-        variable: What differs between the designs: one table or more.
+        variable: The variables of the designs: one table or more.
         table: A table of designs (CSV) instead, relative to this file.
     """
 
