@@ -51,6 +51,7 @@ class ProcessHistory(NamedTuple):
         contact: Share (n,) of the formed area in contact with each tool, the mold first, by name.
         colors: Colours of the tools, by name.
         moves: Begin and end [s] of the spans in which a tool moves, by its name.
+        release: Time [s] at which the clamp opens; None where it does not before the end.
     """
 
     title: str
@@ -60,6 +61,7 @@ class ProcessHistory(NamedTuple):
     contact: dict[str, Array]
     colors: dict[str, str]
     moves: dict[str, list[tuple[float, float]]]
+    release: float | None
 
 
 def draw_process(path: str | Path, process: ProcessHistory) -> None:
@@ -74,9 +76,13 @@ def draw_process(path: str | Path, process: ProcessHistory) -> None:
             for begin, end in spans:
                 axes.axvspan(unit * begin, unit * end, color=process.colors[name], alpha=0.07, linewidth=0)
         panel(axes, process, unit * process.time)
+        if process.release is not None:
+            axes.axvline(unit * process.release, color=_RELEASE, linewidth=1.4, linestyle="--")
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
         axes.margins(x=0.0)
+    if process.release is not None:
+        _label_release(grid[0], unit * process.release, f"the clamp opens at {unit * process.release:.3g} {words}")
     grid[-1].set_xlabel(f"time [{words}]")
     figure.align_ylabels(grid)
     figure.tight_layout()
@@ -85,7 +91,14 @@ def draw_process(path: str | Path, process: ProcessHistory) -> None:
 
 
 _SHORT = 0.2  # s: a shorter process is drawn over milliseconds
-_PRESSURE = "#0072b2"
+_PRESSURE, _RELEASE = "#0072b2", "#8c2d04"
+
+
+def _label_release(axes: Any, time: float, words: str) -> None:
+    """Writes above the panel that the clamp opens, on the side where the line of that time leaves more room."""
+    low, high = axes.get_xlim()
+    side = "left" if time < 0.5 * (low + high) else "right"
+    axes.text(time, 1.02, words, transform=axes.get_xaxis_transform(), ha=side, va="bottom", color=_RELEASE)
 
 
 def _draw_pressure(axes: Any, process: ProcessHistory, time: Array) -> None:

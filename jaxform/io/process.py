@@ -29,11 +29,12 @@ _MOLD = "#606060"
 
 
 def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
-    """The process of a run; None where nothing changes over time: a constant pressure, and no tool that moves."""
+    """The process of a run; None where nothing changes over time: constant pressure, tools at rest, clamp closed."""
     tools = [surface.mold for surface in scene.surfaces]
     time = _times(scene, tools, float(result.time))
     pressure = pressures_over_time(scene, result, time)
-    if not scene.moves and np.ptp(pressure) == 0.0:
+    release = _release_time(scene, float(time[-1]))
+    if not scene.moves and np.ptp(pressure) == 0.0 and release is None:
         return None
     displacements = {
         tool_label(tool): offsets_of(tool, time) @ np.asarray(tool.motion.direction, float)
@@ -50,7 +51,14 @@ def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
         contact=dict(zip(names, contact, strict=True)),
         colors=dict(zip(names, colors, strict=True)),
         moves=_moving_spans(tools, float(time[-1])),
+        release=release,
     )
+
+
+def _release_time(scene: Scene, end: float) -> float | None:
+    """Time [s] at which the clamp opens; None where it does not before an end [s]."""
+    until = scene.parison.clamp_until
+    return None if until is None or float(until) >= end else float(until)
 
 
 def _moving_spans(tools: Sequence[Mold], end: float) -> dict[str, list[tuple[float, float]]]:

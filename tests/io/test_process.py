@@ -16,8 +16,8 @@ from PIL import Image
 
 from jaxform.cli import command, session, simulate_command
 from jaxform.core.store import Store
-from jaxform.io import files, process
-from jaxform.io.report import stored_results
+from jaxform.io import canvas, files, process
+from jaxform.io.report import charts, contents, stored_results
 from jaxform.mesh import meshes
 from jaxform.results.tool_contact import contact_shares, contact_shares_over_time
 from tests import browser, scenes
@@ -210,6 +210,35 @@ def test_contact_over_time_ends_with_that_of_the_end() -> None:
     np.testing.assert_allclose(contact_shares(made, 2), [0.25, 0.25])
     found = contact_shares_over_time(made, np.array([0.0, 0.9, 1.0, 1.9, 2.0, 9.0]), 2)
     np.testing.assert_allclose(found, [[0, 0, 0.25, 0.25, 0.25, 0.25], [0, 0, 0, 0, 0.25, 0.25]])
+
+
+def test_the_opening_of_the_clamp_is_marked(tmp_path: Path) -> None:
+    constant = scenes.FILE.replace("value = [0.0, 2.0e4]", "value = [1.0e4, 1.0e4]")
+    given = constant.replace("thickness = 1.0e-3", "thickness = 1.0e-3\nclamp_until = 0.03")
+    (tmp_path / "simulated.toml").write_text(given)
+    scene = files.build_unchecked(files.read_scene(tmp_path / "simulated.toml"), Store())
+    # All of the sheet is free, at the end and before.
+    free = {"stuck": np.zeros(3, bool), "tool": np.full(3, -1), "contact_time": np.full(3, -1.0)}
+    sheet = {"triangles": np.array([[0, 1, 2]]), "element_volume": np.ones(1), "element_thickness": np.ones(1)}
+    ended: Any = SimpleNamespace(time=0.05, pressures=None, contacts=None, **free, **sheet)
+    history = process.process_history(scene, ended)
+    assert history is not None and history.release == 0.03
+    # A run that ends before says nothing of it, nor has it another process.
+    ended.time = 0.02
+    assert process.process_history(scene, ended) is None
+    process.write_process(history, tmp_path)
+    lines = []
+    for drawn in (history, history._replace(release=None)):
+        canvas.draw_process(tmp_path / "drawn.png", drawn)
+        with Image.open(tmp_path / "drawn.png") as picture:
+            marked = np.abs(np.asarray(picture.convert("RGB")).astype(int) - [140, 45, 4]).sum(2) < 60
+        lines.append(np.flatnonzero(marked.sum(0) > 100))  # broken, through both panels
+    # At three fifths of the axes, which begin after the labels.
+    assert np.all((0.6 < lines[0] / 1100) & (lines[0] / 1100 < 0.64)) and lines[0].size and not lines[1].size
+    rows, parcel = stored_results._rows(tmp_path / "process.csv"), contents.Parcel()
+    release = stored_results._release_time(stored_results._tables(given)["parison"])
+    marks = [charts._process(rows[:count], release, parcel)[0]["marked"] for count in (len(rows), len(rows) // 2)]
+    assert marks == [[[0.03, "the clamp opens"]], []]
 
 
 def test_a_process_without_change_has_no_picture(tmp_path: Path) -> None:

@@ -44,7 +44,8 @@ function logarithmicTicks(low, high) {
 }
 
 // Draws a diagram; `visit` is called with a line and the number of its point that was clicked on, where it has places.
-function chart(parent, { title, x, y, series, zero, log }, visit) {
+// Places along x that are `marked` have a line and words at its upper end.
+function chart(parent, { title, x, y, series, zero, log, marked = [] }, visit) {
   const figure = element(element(parent, "section", { className: "card" }), "figure");
   element(figure, "h2", {}, title);
   const legend = element(figure, "div", { className: "legend" });
@@ -59,6 +60,7 @@ function chart(parent, { title, x, y, series, zero, log }, visit) {
     "aria-label": title,
   });
   axes(svg, scale, x, y, log);
+  marked.forEach(([place, words]) => markPlace(svg, scale, place, words));
   series.forEach((line, index) => {
     element(legend, "span", { className: line.role }, line.label);
     const group = drawn(svg, "g", { class: line.role });
@@ -74,6 +76,14 @@ function chart(parent, { title, x, y, series, zero, log }, visit) {
     marks.add(mark[2]);
   }
   follow(svg, scale, series, points, [x, y].map(unit), visit);
+}
+
+function markPlace(svg, scale, place, words) {
+  const at = scale.across(place),
+    left = place < (scale.left + scale.right) / 2;
+  drawn(svg, "line", { class: "marked", x1: at, x2: at, y1: TOP, y2: HEIGHT - BOTTOM });
+  const beside = { x: at + (left ? 5 : -5), y: TOP + 9, "text-anchor": left ? "start" : "end" };
+  drawn(svg, "text", { class: "marked", ...beside }, `${words}: ${short(place)}`);
 }
 
 function pairs(values, log) {

@@ -133,7 +133,7 @@ def pack_charts(results: Results, parcel: Parcel) -> list[Chart]:
     if results.start is not None:
         charts += _initial(results.start, results.part, is_disc(results.part, symmetry_of(results)), parcel)
     if results.process:
-        charts += _process(results.process, parcel)
+        charts += _process(results.process, results.release, parcel)
     if results.history:
         charts += _history(results.history, parcel)
     return [chart for chart in charts if chart["series"]]
@@ -192,8 +192,11 @@ def _same(one: Array | None, other: Array) -> bool:
 _ROLES = ("after", "other", "before")  # of lines, by which they have their colours
 
 
-def _process(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:
-    """The process over time: pressure, displacements of tools, and shares of the area in contact with each."""
+def _process(rows: Sequence[dict[str, str]], release: float | None, parcel: Parcel) -> list[Chart]:
+    """The process over time: pressure, displacements of tools, and shares of the area in contact with each.
+
+    The time [s] at which the clamp opens is marked where it is within that of the rows.
+    """
     time, pressure = _column(rows, "time"), _column(rows, "pressure")
     factor, unit = (1e-3, "kPa") if np.nanmax(np.abs(pressure), initial=0.0) >= 1e3 else (1.0, "Pa")
     line = {"label": "pressure", "role": "after", "dots": False}
@@ -210,7 +213,8 @@ def _process(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:
             for k, name in enumerate(names)
         ]
         charts.append((title, words, series))
-    return [_chart(title, "time [s]", words, series, zero=True) for title, words, series in charts]
+    marked = [] if release is None or release >= time[-1] else [[release, "the clamp opens"]]
+    return [_chart(title, "time [s]", words, series, zero=True) | {"marked": marked} for title, words, series in charts]
 
 
 def _history(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:

@@ -169,6 +169,7 @@ class Results:
         scene: The scene file, its name and its text; None where there is none.
         history: Rows of history.csv; empty for a simulation.
         process: Rows of process.csv; empty where nothing changes over time.
+        release: Time [s] at which the clamp opens; None where it does not.
     """
 
     summary: dict[str, Any]
@@ -182,6 +183,7 @@ class Results:
     scene: tuple[str, str] | None = None
     history: list[dict[str, str]] = field(default_factory=list)
     process: list[dict[str, str]] = field(default_factory=list)
+    release: float | None = None
 
 
 def read_results(folder: Path) -> Results:
@@ -212,6 +214,7 @@ def read_results(folder: Path) -> Results:
         scene=None if text is None else (scene.name, text),
         history=_rows(folder / "history.csv") if is_search else [],
         process=_rows(folder / "process.csv"),
+        release=None if text is None else _release_time(_tables(text).get("parison")),
     )
 
 
@@ -221,6 +224,12 @@ def _tables(scene: str) -> dict[str, Any]:
         return tomllib.loads(scene)
     except tomllib.TOMLDecodeError:
         return {}
+
+
+def _release_time(parison: Any) -> float | None:
+    """Time [s] at which a parison of a scene file is let go; None where it is not, or none that can be read."""
+    until = parison.get("clamp_until") if isinstance(parison, dict) else None
+    return float(until) if isinstance(until, int | float) else None
 
 
 _MOTION = ("direction", "time", "displacement")
