@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
+from scipy.spatial import ConvexHull, QhullError
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, topology
@@ -19,20 +19,23 @@ Index = NDArray[np.int32]
 
 _TOP = 0.01  # of the length, that is cut off at the neck: the rim, which joins the inside and the outside
 _SLICE = 0.02  # of the length: where sections at the two ends are compared
-_NARROW = 0.7  # width of the neck over the largest width, at most
+_NARROW = 0.95  # width of the neck over that of the bottle, of circles of the same area, at most
+_NECK_ERROR, _PER_WIDTH = 0.6, 0.3  # of what is a neck, at most; and what a neck as wide as the bottle counts
+_DEPTHS = (0.04, 0.08, 0.12)  # of a neck's width, below its end, where its sections are compared
+_COMPACT, _END_AREA, _ENDS_TRIED = 0.5, 2e-4, 12  # of the flat end of a neck; its area over the size squared
+_FACES, _CUTS_TRIED = 100, 6  # flat faces of a hull, and those of them in which a half may have been cut
+_ALIKE, _SAME = 5e-3, 1.0 - 4e-5  # between normals of one flat face; cosine between directions that are one
 _SAMPLES = 1500  # vertices that are mirrored
 _SYMMETRIC = 0.002  # of the length, for a bottle of which a half or a quarter is modelled
 _MIRRORED = 0.01  # of the length, root mean square, by which a mirrored bottle deviates from itself at most
 _TURNS = 24  # directions across the axis that are tried as normals of the parting plane
 _FLAT = 1e-5  # of the size: what is as near to a plane lies in it
-_CUT = 0.5  # of the area that a half covers, its cut face at least
+_CUT = 0.5  # of the area that the hull of a half covers, that of its cut face at least; and of its open edges
 _WHOLE = 0.97  # of the length of a half, along which its cut reaches at least
-_IN_CUT = 0.7  # of the open edges of a half, that lie in its cut
 _STEEP = 0.3  # sine of the angle between an axis and what is about along it, at most
-_OFF, _ALIGNED = 0.1, 6e-4  # cosine below 1 of an axis off the longest direction at most, and off x, y or z
+_ALIGNED = 4e-5  # cosine below 1 of an axis that is taken for x, y or z
 _STEEPER = (_STEEP, _STEEP, 0.15, 0.15, 0.08, 0.08, 0.04, 0.04)  # as the axis becomes closer
 _AROUND = 0.1  # of the area of sides in one direction, that of those across at least
-_TURNED = 6  # times that a plane is fitted to what is near the last one
 
 
 class BottleHalf(NamedTuple):
@@ -136,13 +139,9 @@ def find_outside(mesh: Mesh) -> Outside:
     """The outside of a bottle, whole, and cut off at its neck."""
     used = np.unique(mesh.triangles)
     size = meshes.size(mesh.positions[used])
-    whole = _complete_half(mesh, _find_axis(mesh))
-    positions, used = whole.positions, np.unique(whole.triangles)
-    axis = _find_axis(whole)  # the longest direction of a half is only near it
-    along = positions @ axis
-    if _width_at_end(positions[used], axis) > _width_at_end(positions[used], -axis):
-        axis, along = -axis, -along
-    low, high = along[used].min(), along[used].max()
+    whole, axis = _find_axis(mesh)
+    along = whole.positions[np.unique(whole.triangles)] @ axis
+    low, high = along.min(), along.max()
     cut = high - _TOP * (high - low)
     opened = _largest_part(clip(whole, axis, cut, keep_below=True))
     return opened, axis, _section_middle(opened, axis, cut, size), float(low), float(cut)
@@ -186,39 +185,147 @@ def clip(mesh: Mesh, normal: Array, level: float, *, keep_below: bool) -> Mesh:
     return Mesh(joined[kept], renumbered.reshape(-1, 3).astype(np.int32), {})
 
 
-def _find_axis(mesh: Mesh) -> Array:
-    """The axis of a bottle: that to which its sides, and then those of its neck, are parallel; x, y or z if near.
+def _find_axis(mesh: Mesh) -> tuple[Mesh, Array]:
+    """The whole of a bottle, from its surface or half of it, and its axis (3,), towards its neck; x, y or z if near.
 
-    With a handle, a bottle is longest in a direction off its axis. Without sides, its longest direction, or x, y or z
-    if it is about as long along that.
+    Of the directions that the axis may have, it is the one at whose end the bottle is most like a neck: narrow, round
+    and as wide below the end as there. Without a neck, it is the longest direction, towards the narrower end.
     """
+    faces = _flat_faces(mesh.positions[np.unique(mesh.triangles)])
+    cuts = [normal for normal, _ in faces[:_CUTS_TRIED]]
+    found = list[tuple[float, Array, Mesh]]()
+    for way in _axis_candidates(mesh, faces):
+        # The cut of a half is sought only where the end is narrow, as the whole's is then.
+        ends = [axis for axis in (way, -way) if np.isfinite(_neck_error(mesh, axis))]
+        whole = _complete_half(mesh, way, cuts) if ends else mesh
+        found += [(_neck_error(whole, axis), axis, whole) for axis in ends]
+    error, axis, whole = min(found, key=lambda each: each[0], default=(np.inf, np.zeros(3), mesh))
+    if error > _NECK_ERROR:
+        axis = _longest_direction(mesh)
+        whole = _complete_half(mesh, axis, cuts)
+        points = whole.positions[np.unique(whole.triangles)]
+        axis = axis if _width_at_end(points, axis) <= _width_at_end(points, -axis) else -axis
+    return whole, _refine_axis(whole, axis)
+
+
+def _longest_direction(mesh: Mesh) -> Array:
+    """The direction (3,) in which a surface is longest; x, y or z if it is about as long along that."""
     points = mesh.positions[np.unique(mesh.triangles)]
     principal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][0]
-    axis = None
-    for steep in _STEEPER:
-        if (closer := _side_axis(mesh, principal if axis is None else axis, steep)) is not None:
-            axis = closer
-    if axis is not None:
-        neck = _neck(mesh, axis)
-        for steep in _STEEPER[3::2]:
-            if (closer := _side_axis(neck, axis, steep)) is not None:
-                axis = closer
-    if axis is not None and axis @ principal > 1.0 - _OFF:
-        nearest = int(np.argmax(np.abs(axis)))
-        return np.eye(3)[nearest] if abs(axis[nearest]) > 1.0 - _ALIGNED else axis
     extents = np.ptp(points, axis=0)
     best = int(np.argmax(extents))
     return principal if float(np.ptp(points @ principal)) > 1.02 * extents[best] else np.eye(3)[best]
 
 
-def _neck(mesh: Mesh, axis: Array) -> Mesh:
-    """The faces of a bottle at the end of its neck, which is the narrower of its ends along an axis."""
-    used = mesh.positions[np.unique(mesh.triangles)]
-    if _width_at_end(used, axis) > _width_at_end(used, -axis):
-        axis = -axis
+def _axis_candidates(mesh: Mesh, faces: list[tuple[Array, float]]) -> list[Array]:
+    """Directions (3,) that the axis may have, either way.
+
+    They are those of the file, of the flat and compact ends of the surface, as that of a neck, of its extent, and those
+    near these to which its sides are parallel.
+
+    Args:
+        mesh: The surface.
+        faces: Those of `_flat_faces`.
+    """
+    points = mesh.positions[np.unique(mesh.triangles)]
+    principal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2]
+    ends = [way for way, compactness in faces if compactness > _COMPACT]
+    ways: list[Array] = [*np.eye(3), *ends[:_ENDS_TRIED], *principal]
+    for way in list(ways):
+        for steep in _STEEPER:
+            if (closer := _side_axis(mesh, way, steep)) is not None:
+                way = closer
+        ways.append(way)
+    kept = list[Array]()
+    for way in ways:
+        if all(abs(way @ other) < _SAME for other in kept):
+            kept.append(way)
+    return kept
+
+
+def _flat_faces(points: Array) -> list[tuple[Array, float]]:
+    """Normals (3,) of the flat faces of the hull of points (n, 3), largest first, and the compactness of each."""
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return []  # they lie in a plane
+    corners, normal = points[hull.simplices], hull.equations[:, :3]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    _, group = np.unique(np.round(normal / _ALIKE), axis=0, return_inverse=True)
+    total, found = np.bincount(group, area), list[tuple[Array, float]]()
+    for number in np.argsort(-total):
+        if len(found) == _FACES or total[number] < _END_AREA * meshes.size(points) ** 2:
+            break
+        there = group == number
+        way = area[there] @ normal[there]
+        way /= np.linalg.norm(way)
+        found.append((way, _compactness(*_hull_sizes(corners[there].reshape(-1, 3) @ _plane_axes(way).T))))
+    return found
+
+
+def _plane_axes(normal: Array) -> Array:
+    """Two axes (2, 3) across a direction (3,)."""
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    axes: Array = np.asarray([first, np.cross(normal, first)], np.float64)
+    return axes
+
+
+def _hull_sizes(points: Array) -> tuple[float, float]:
+    """Area and perimeter of the hull of points (n, 2); none of points on a line."""
+    try:
+        found = ConvexHull(points)
+    except (QhullError, ValueError):
+        return 0.0, 0.0
+    return float(found.volume), float(found.area)
+
+
+def _compactness(area: float, perimeter: float) -> float:
+    """An area over that of a circle with its perimeter."""
+    return 4.0 * np.pi * area / perimeter**2 if perimeter > 0.0 else 0.0
+
+
+def _neck_error(mesh: Mesh, axis: Array) -> float:
+    """A measure of how far the end of a surface along an axis is from a neck: 0 for a narrow cylinder.
+
+    It is the sum of what sections below the end differ from circles and from each other, and of their width over that
+    of the surface; infinite where these are as wide as the surface.
+    """
+    across = _plane_axes(axis)
+    along = mesh.positions @ axis
+    used = np.unique(mesh.triangles)
+    low, high = along[used].min(), along[used].max()
+    wide, _ = _hull_sizes(mesh.positions[used] @ across.T)
+    one, other = mesh.triangles.ravel(), mesh.triangles[:, [1, 2, 0]].ravel()
+
+    def section(level: float) -> tuple[float, float]:
+        crossed = (along[one] > level) != (along[other] > level)
+        first, second = one[crossed], other[crossed]
+        share = ((level - along[first]) / (along[second] - along[first]))[:, None]
+        return _hull_sizes(((1.0 - share) * mesh.positions[first] + share * mesh.positions[second]) @ across.T)
+
+    width = 2.0 * np.sqrt(section(high - _TOP * (high - low))[0] / np.pi)
+    if not 0.0 < 0.25 * np.pi * width**2 < _NARROW**2 * wide:
+        return np.inf
+    sections = [section(high - share * width) for share in _DEPTHS]
+    areas = [area for area, _ in sections]
+    if min(areas) <= 0.0 or max(areas) >= _NARROW**2 * wide:
+        return np.inf
+    out_of_round = 1.0 - min(_compactness(*each) for each in sections)
+    return out_of_round + max(areas) / min(areas) - 1.0 + _PER_WIDTH * float(np.sqrt(areas[0] / wide))
+
+
+def _refine_axis(mesh: Mesh, axis: Array) -> Array:
+    """The axis of a bottle to which the sides of its neck are parallel, near a given one (3,); x, y or z if near."""
     along = mesh.positions[mesh.triangles] @ axis
-    near = along.min(1) > along.max() - _NECK_END * np.ptp(along)
-    return Mesh(mesh.positions, mesh.triangles[near], {})
+    near = along.max(1) > along.max() - _NECK_END * np.ptp(along)
+    neck = Mesh(mesh.positions, mesh.triangles[near], {})
+    for steep in _STEEPER[3::2]:
+        if (closer := _side_axis(neck, axis, steep)) is not None:
+            axis = closer
+    nearest = int(np.argmax(np.abs(axis)))
+    aligned = abs(axis[nearest]) > 1.0 - _ALIGNED
+    return np.eye(3)[nearest] * np.sign(axis[nearest]) if aligned else axis
 
 
 def _side_axis(mesh: Mesh, axis: Array, steep: float) -> Array | None:
@@ -246,24 +353,23 @@ def _width_at_end(points: Array, axis: Array) -> float:
     return float(np.linalg.norm(np.ptp(across, axis=0)))
 
 
-def _complete_half(mesh: Mesh, axis: Array) -> Mesh:
+def _complete_half(mesh: Mesh, axis: Array, normals: list[Array]) -> Mesh:
     """The whole of a mesh that is half of a bottle, open or closed by a flat face along the axis; else the mesh.
 
-    The axis is about that of the bottle. The plane of the cut reaches from its bottom to the end of its neck; a flat
-    side of a bottle ends below the neck.
+    The axis is about that of the bottle; the cut is across x, y or z, or has one of some normals (3,). It reaches from
+    the bottom to the end of the neck; a flat side of a bottle ends below the neck.
     """
     positions, triangles = mesh.positions, mesh.triangles
-    corners = positions[triangles]
-    area_vector = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     used = np.unique(triangles)
     size, edges = meshes.size(positions[used]), topology.boundary_edges(triangles)
     length = np.linalg.norm(positions[edges[:, 1]] - positions[edges[:, 0]], axis=1)
-    for way in _across(mesh, axis):
+    across = [normal for normal in (*np.eye(3), *normals) if abs(normal @ axis) < _STEEP]
+    for way in (sign * normal for normal in across for sign in (1.0, -1.0)):
         level = (positions[used] @ way).min()
         there = np.abs(positions @ way - level) <= _FLAT * size
         flat = there[triangles].all(1)
-        covered = 0.5 * np.abs(area_vector @ way).sum()
-        closed = np.abs(area_vector[flat] @ way).sum() >= _CUT * covered
+        face = positions[np.unique(triangles[flat])] @ _plane_axes(way).T if flat.any() else np.zeros((0, 2))
+        closed = _hull_sizes(face)[0] >= _CUT * _hull_sizes(positions[used] @ _plane_axes(way).T)[0]
         opened = len(edges) > 0 and length[there[edges].all(1)].sum() >= _CUT * length.sum()
         along = positions[used] @ (axis - (axis @ way) * way)
         if (closed or opened) and np.ptp(along[there[used]]) >= _WHOLE * np.ptp(along):
@@ -274,31 +380,6 @@ def _complete_half(mesh: Mesh, axis: Array) -> Mesh:
             both = meshes.merge([half, Mesh(image, half.triangles[:, ::-1], {})])
             return meshes.weld(both)
     return mesh
-
-
-def _across(mesh: Mesh, axis: Array) -> Iterator[Array]:
-    """Directions about across the axis, both ways, in which a surface may have been cut.
-
-    They are those of the file, and the normals of its largest face and of the plane of most of its open edges.
-    """
-    corners = mesh.positions[mesh.triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    ways = [*np.eye(3), normal[np.argmax(np.linalg.norm(normal, axis=1))]]
-    ends = mesh.positions[topology.boundary_edges(mesh.triangles)]
-    if len(ends) > 2:
-        passed = np.cumsum(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
-        points = ends[np.searchsorted(passed, np.linspace(0.0, passed[-1], _SAMPLES))].reshape(-1, 3)
-        near = points
-        for _ in range(_TURNED):
-            middle = near.mean(0)
-            ways[4:] = [np.linalg.svd(near - middle, full_matrices=False)[2][2]]
-            away = np.abs((points - middle) @ ways[4])
-            near = points[away <= np.quantile(away, _IN_CUT)]
-    for way in ways:
-        size = np.linalg.norm(way)
-        if abs(way @ axis) < _STEEP * size:
-            yield way / size
-            yield -way / size
 
 
 def _largest_part(mesh: Mesh) -> Mesh:
@@ -319,8 +400,7 @@ def _section_middle(mesh: Mesh, axis: Array, level: float, size: float) -> Array
         raise InputError("has no neck", "give the surface of a bottle")
     points = ends[there].reshape(-1, 3)
     width = np.linalg.norm(points - points.mean(0), axis=1).max()
-    across = mesh.positions - np.outer(mesh.positions @ axis, axis)
-    widest = 0.5 * np.linalg.norm(np.ptp(across, axis=0))
+    widest = np.sqrt(_hull_sizes(mesh.positions @ _plane_axes(axis).T)[0] / np.pi)
     if width > _NARROW * widest:
         problem = f"has no neck: its narrow end is {2e3 * width:.3g} mm wide, and its body {2e3 * widest:.3g} mm"
         raise InputError(problem, "leave --process out for a sheet that is formed into it")
@@ -440,7 +520,8 @@ def find_revolution(mesh: Mesh) -> Revolution:
     corners = mesh.positions[mesh.triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     middle = (area @ corners.mean(1)) / area.sum()
-    best = min((_sections(corners, middle, axis) for axis in _axes(corners, area, middle)), key=lambda found: found[2])
+    ways = _axis_candidates(mesh, _flat_faces(mesh.positions[np.unique(mesh.triangles)]))
+    best = min((_sections(corners, middle, way) for way in ways), key=lambda found: found[2])
     axis, outside, variation = best
     if variation > _ROUND:
         varies = f"its radius varies by {100 * variation:.0f} % around the best axis"
@@ -458,14 +539,6 @@ def is_bottle(mesh: Mesh) -> bool:
     near = found.profile[found.profile[:, 1] <= _NECK_END * found.length, 0]
     narrow = _TIP * found.radius <= near.min() <= near.max() <= _NARROW_NECK * found.radius
     return bool(narrow and found.length >= 2.0 * found.radius)
-
-
-def _axes(corners: Array, area: Array, middle: Array) -> list[Array]:
-    """Axes (3,) that it may have: those of the file, and the principal ones of the surface."""
-    away = corners - middle
-    total = away.sum(1)
-    moment = np.einsum("n,nki,nkj->ij", area, away, away) + np.einsum("n,ni,nj->ij", area, total, total)
-    return [*np.eye(3), *np.linalg.svd(moment)[2]]
 
 
 def _in_bottle_frame(points: Array, middle: Array, axis: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 import jaxform
 from jaxform.cli.command import main
@@ -167,6 +168,47 @@ def test_a_can_with_flat_sides_is_no_half_and_a_handle_does_not_tilt_the_axis(ro
         np.testing.assert_allclose(axis, turn[:, along], atol=5e-3)
         np.testing.assert_allclose(end - low, 0.99 * length, rtol=5e-3)
         assert np.ptp(found.positions @ turn, axis=0)[0] < 130.0, "not mirrored at a side"
+
+
+JAR = [[0, 3], [40, 2], [52, 0], [58, 3], [60, 10], [60, 52], [56, 62], [42, 70], [36, 72], [36, 86], [0, 86]]
+HOLLOW_JAR = [*JAR[:-1], [34, 86], [34, 71], [41, 68.5], [55, 60.5], [58, 51], [58, 11], [52, 2.2], [40, 4], [0, 5]]
+FLASK = [(0, 60, 14, 0.6), (3, 68, 19, 0.5), (8, 70, 20, 0.5), (60, 70, 20, 0.5), (75, 66, 19.5, 0.55)]
+FLASK += [(86, 48, 18, 0.7), (92, 26, 15, 0.9), (95, 13, 13, 1), (98, 12, 12, 1), (115, 12, 12, 1)]
+
+
+def squat(kind: str) -> Mesh:
+    """A bottle that is wider than tall, along z; half of it, closed by the face of the cut, for "half jar"."""
+    if kind == "flask":
+        return loft(FLASK)
+    if kind == "jug":
+        x, y, z = with_handle(**NEAR | {"neck_radius": 0.012}).positions.T
+        return Mesh(np.stack([z, x, 0.3 * y], axis=1), with_handle(**NEAR | {"neck_radius": 0.012}).triangles, {})
+    shape = molds.revolved(profile=JAR if kind == "jar" else HOLLOW_JAR, segments=48)
+    whole = meshes.weld(Mesh(shape.vertices, shape.triangles, {}))
+    if kind == "jar":
+        return whole
+    half = clip(whole, np.array([0.0, 1.0, 0.0]), 0.0, keep_below=False)
+    edges = half.positions[topology.boundary_edges(half.triangles)]
+    part = shapely.get_parts(shapely.polygonize([shapely.LineString(edge[:, [0, 2]]) for edge in edges]))
+    flat = shapely.get_coordinates(shapely.constrained_delaunay_triangles(part[0])).reshape(-1, 4, 2)[:, :3]
+    places = np.insert(flat.reshape(-1, 2), 1, 0.0, axis=1)
+    face = Mesh(places, np.arange(len(places)).reshape(-1, 3).astype(np.int32), {})
+    return meshes.weld(meshes.merge([half, face]))
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(("kind", "length"), [("jar", 86.0), ("flask", 115.0), ("jug", 69.0), ("half jar", 86.0)])
+def test_the_axis_of_a_bottle_that_is_wider_than_tall_runs_through_its_neck(kind: str, length: float) -> None:
+    upright = squat(kind)
+    if kind == "half jar":
+        assert topology.is_closed(upright.triangles)
+    for rotate in ((0.0, 0.0, 0.0), (25.0, 40.0, 70.0), (-110.0, 15.0, 200.0)):
+        turn = molds.rotation(np.array(rotate))
+        places = (upright.positions @ turn.T + [31.0, -45.0, 120.0]).astype(np.float32).astype(float)
+        found, axis, _, low, end = find_outside(meshes.weld(Mesh(places, upright.triangles, {})))
+        np.testing.assert_allclose(axis, turn[:, 2], atol=5e-3)
+        np.testing.assert_allclose(end - low, 0.99 * length, rtol=5e-3)
+        assert topology.count_handles(found.triangles) == (kind == "jug")
 
 
 @pytest.mark.quick
