@@ -36,7 +36,7 @@ _QUICKLY = (
     "from jaxform.core import compilation; compilation._LEVEL = 0; gc.set_threshold(100_000, 50, 50)",
     "del gc, os, jax, compilation",
 )
-"""What a kernel runs first for a quick check: it compiles as the tests do, whose programs it then finds."""
+"""Code that a kernel runs first for a quick check: it compiles as the tests do, whose programs it then finds."""
 
 
 def execute(path: Path, cache: Path, *, small: bool = False) -> Any:

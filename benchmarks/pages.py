@@ -1,4 +1,4 @@
-"""What the pages under docs/ have in common: a file of what was found, kept part by part, and pictures."""
+"""Common parts of the pages under docs/: a file of figures, kept part by part, and pictures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MEASURED = "measured"  # on which day each part was
 
 
 def read_figures(path: Path) -> Found:
-    """What was found so far; nothing where there is no file."""
+    """The figures so far; none where there is no file."""
     return json.loads(path.read_text()) if path.exists() else {}
 
 

@@ -1,4 +1,4 @@
-"""How the benchmarks time, and how they print what they found."""
+"""Timing and output of the benchmarks."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Browser:
         self._asked, self._answers, self._rest, self._number, self._session = asked, answers, b"", 0, ""
 
     def call(self, method: str, **arguments: Any) -> dict[str, Any]:
-        """What a DevTools method answers."""
+        """The answer of a DevTools method."""
         self._number += 1
         message: dict[str, Any] = {"id": self._number, "method": method, "params": arguments}
         if self._session:

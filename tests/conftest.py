@@ -1,4 +1,4 @@
-"""What every test runs under: double precision, pictures without a display, programs compiled once."""
+"""Settings of all tests: double precision, pictures without a display, programs compiled once."""
 
 import gc
 import os
@@ -7,7 +7,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-# What is compiled is kept for other tests, for the other worker, for the programs that they start and for the next run.
+# Compiled programs are kept for other tests, the other worker, the processes that they start and later runs.
 # `pytest --cache-clear` empties it.
 _PROGRAMS = Path(__file__).parent.parent / ".pytest_cache" / "programs"
 os.environ["MPLBACKEND"] = "Agg"

@@ -92,7 +92,7 @@ def _configure() -> None:
 
 
 def call_elsewhere[T](function: Callable[[], T]) -> T:
-    """What a function of a module returns in a new process, to which JAX's memory of traced functions is confined."""
+    """The result of a module's function in a new process, to which JAX's memory of traced functions is confined."""
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawn, initializer=_configure) as fresh:
         return fresh.submit(function).result()
@@ -201,7 +201,7 @@ def bisect_scene(scene: Scene, state: State, sheet: Discretization, wanted: jax.
 
 @jax.jit
 def survey_of(state: State, scene: Scene, sheet: Discretization) -> tuple[State, Discretization]:
-    """What a run makes of a state in the mesh's order at a border where it is time to look at the mesh."""
+    """A state in the mesh's order after a window boundary at which a run surveys the mesh."""
     packed = active_set.active_set_of(state, scene, sheet)
     refined, sheet, packed = refinement.refine_in_place(packed.pack_state(state), scene, sheet, packed)
     return packed.unpack_state(refined), sheet

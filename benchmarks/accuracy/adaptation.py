@@ -1,4 +1,4 @@
-"""What adapted meshes buy: error and time of adapted and uniform runs of cup and dish, against the exact wall.
+"""Gain by adapted meshes: error and time of adapted and uniform runs of cup and dish, against the exact wall.
 
 `python -m benchmarks.accuracy.adaptation [cup] [deep]`. The error is that of the whole wall at the pressure reached,
 nothing cut, by initial area: of the elements and of the recovered wall at the nodes. An adapted run's time is that of
@@ -75,7 +75,7 @@ def _disc(elements: int) -> Sheet:
     return jaxform.shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
 
 
-# What an error costs on each kind of mesh, for the page of accuracy.
+# Time for an error on each kind of mesh, for the page of accuracy.
 
 _UNIFORM, _ADAPTED = (600, 1250, 2500, 5000, 10000), (300, 600, 1250, 2500, 5000)
 _LEVELS = ((2, 4), (4, 6), (6, 8), (6, 10))  # to which a sheet is refined where it bends, and at the corner

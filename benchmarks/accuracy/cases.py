@@ -151,7 +151,7 @@ def show_disc(elements: int) -> Measured:
 
 
 def seconds(result: Result) -> float:
-    """Of the run's loop."""
+    """Time of the run's loop [s]."""
     assert result.seconds is not None
     return result.seconds.run
 
@@ -249,7 +249,7 @@ def sphere_step_errors(
 
 
 def away_from_corner(places: np.ndarray, reference: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Which initial radii lie off the last of the arc at the corner, where the exact wall is thinnest."""
+    """Mask of the initial radii that lie off the last of the arc at the corner, where the exact wall is thinnest."""
     order = np.argsort(reference["initial_radius"])
     arc = np.interp(places, reference["initial_radius"][order], reference["arc"][order])
     corner = reference["arc"][np.argmin(reference["thickness_ratio"])]

@@ -66,7 +66,7 @@ def _order(value: float) -> str:
 
 
 def _orders(found: Found) -> str:
-    """Where nodal thickness is of second order, and where not: what the two finest meshes say."""
+    """Orders of the nodal thickness by the two finest meshes: where it is the second, and where not."""
     inside = [
         orders[-1] for case in found.values() for name, orders in case["order"].items() if name.endswith("inside")
     ]
@@ -141,7 +141,7 @@ def _meshes(found: Found, folder: Path) -> str:
 
 
 def _gain(name: str, rows: list[Found]) -> str:
-    """How the time of the adapted run of some 2500 elements compares with that of a uniform one as accurate."""
+    """Ratio of the times of the adapted run of some 2500 elements and of a uniform one as accurate."""
     adapted = [row for row in rows if row["kind"].startswith("adapted")]
     chosen = min(adapted, key=lambda row: abs(row["elements"] - 2500))
     share = chosen["seconds"] / _cost_of_uniform(rows, chosen["error"])
@@ -212,7 +212,7 @@ def _precision(name: str, words: str) -> Any:
     return section
 
 
-# Why what is as good and faster is no default.
+# The reasons why runs that are as good and faster are no default.
 _WHY_NOT = {
     "mass scaling": "mass that is added is felt where a process is fast",
     "float32": "gradients in float32 are coarse",
@@ -220,7 +220,7 @@ _WHY_NOT = {
 
 
 def _front(rows: list[Found]) -> list[str]:
-    """Which runs are both faster and better than the default one, and which are faster and as good."""
+    """Runs that are both faster and better than the default one, and runs that are faster and as good."""
     good = [row for row in rows if row["status"] == "ok"]
     default = next((row for row in good if row["default"]), None)
     if default is None:

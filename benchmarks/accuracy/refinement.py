@@ -1,4 +1,4 @@
-"""What refinement buys and costs: error against time, overhead, smoothness along a line. `make refine`."""
+"""Gain and cost of refinement: error against time, overhead, smoothness along a line. `make refine`."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ def show_panel() -> list[Row]:
 
 
 def show_overhead() -> list[Row]:
-    """What looking at the mesh and making more of it takes of a run."""
+    """Prints the share of a run that surveying and refining the mesh takes."""
     rows = []
     for name, scene in (
         ("box-insert", box(128, angle=12.0, max_level=6, base_level=6, mass_scaling_levels=2)),

@@ -71,7 +71,7 @@ def measure_gradient(
 
 
 def in_float32(make: Callable[[], Found]) -> Found:
-    """What is made and measured in single precision."""
+    """Results made and measured in single precision."""
     jax.config.update("jax_enable_x64", False)
     try:
         with warnings.catch_warnings():
@@ -98,7 +98,7 @@ def _vary_scene(scene: Scene, **factors: float) -> Scene:
 
 
 def _changes() -> Iterator[tuple[str, str, Found]]:
-    """What is varied at the default mesh, one thing at a time; the time step first."""
+    """Variations at the default mesh, one thing at a time; the time step first."""
     for safety in (0.5, 0.7, 0.95):
         yield "safety", f"{safety}", {"safety": safety}
     for ramp in (0.25, 0.5, 2.0):
@@ -180,7 +180,7 @@ def show_slow(
     dampings: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0),
     longest: float = 2.7,
 ) -> Found:
-    """How far the wall is from the slow one, over ramp time and damping, beside what the energies predict."""
+    """Prints the wall's deviation from the slow one, over ramp time and damping, beside what the energies predict."""
     found: Found = {}
     for name in names:
         rows: list[Found] = []
@@ -215,7 +215,7 @@ def _end_values(scene: Scene, ramp: float, damping: float) -> Scene:
 
 
 def measure_inertia(scene: Scene, slow: Result) -> Found:
-    """How far a wall is from the slow one, rms by material, with the energies that predict it."""
+    """Deviation of a wall from the slow one, rms by material, with the energies that predict it."""
     result = jaxform.run(scene)
     energy, off = result.energy, np.asarray(result.element_thickness) / np.asarray(slow.element_thickness) - 1
     return {
@@ -238,7 +238,7 @@ def show_gradient(name: str = "dish-uniform-wall", sizes: tuple[float, ...] = (1
 
 
 def show_meshes() -> Found:
-    """What an error costs on uniform, refined and adapted meshes, by cup."""
+    """Prints the time for an error on uniform, refined and adapted meshes, by cup."""
     return {name: adaptation.show_costs(name) for name in adaptation.CUPS}
 
 

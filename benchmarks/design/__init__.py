@@ -1,1 +1,1 @@
-"""What searching by gradient buys."""
+"""Gain of searches by gradient."""

@@ -1,4 +1,4 @@
-"""What searching by gradient buys: figures of the built-in studies, and the search beside what people use instead.
+"""Gain of searches by gradient: figures of the built-in studies, and the search beside what people use instead.
 
 Run it with `make design`, or parts of it by name: `python -m benchmarks.design recover mass pressure bottle
 race-recover race-least-mass race-pressure`; any other name draws the page alone.
@@ -65,14 +65,14 @@ def deviation(row: Found) -> float:
 
 
 _TO_THE_END: Found = {"gradient_tolerance": 1e-9, "tolerance": 0.0, "warm_start": 0}
-"""Of searches that are to show how near a known sheet they come by themselves."""
+"""Settings of searches that are to show how near a known sheet they come by themselves."""
 
 
 # --- Figures of single studies ----------------------------------------------------------------------------------------
 
 
 def show_recovery(scene: jaxform.Scene | None = None, knots: int = 12, iterations: tuple[int, int] = (20, 4)) -> Found:
-    """How fast a known profile is found."""
+    """Prints how fast a known profile is found."""
     scene = scene or jaxform.load("dish-coarse")
     found: Found = {"knots": knots, "elements": len(scene.parison.triangles), "hidden": hidden_profile(knots).tolist()}
     for method, most in zip(("lbfgs", "least-squares"), iterations, strict=True):
@@ -84,7 +84,7 @@ def show_recovery(scene: jaxform.Scene | None = None, knots: int = 12, iteration
 
 
 def show_mass(name: str = "dish-least-mass") -> Found:
-    """What the study of least mass saves against a uniform sheet with the same thinnest wall, itself simulated."""
+    """Prints the mass that a study saves against a uniform sheet with the same thinnest wall, itself simulated."""
     study = optimize.load_study(name)
     began = time.perf_counter()
     design = optimize.solve(study)
@@ -134,7 +134,7 @@ def show_bottle() -> Found | None:
 
 
 def formed_part_at(result: jaxform.Result) -> float:
-    """When a part counts as formed [s]: so much of its area touches the mold; infinite where it never does."""
+    """Time [s] at which so much of a part's area touches the mold that it counts as formed; infinite for never."""
     touched, area = np.asarray(result.contact_time), np.asarray(nodal_area(result))
     order = np.argsort(np.where(touched < 0, np.inf, touched))
     share = np.cumsum(area[order]) / area.sum()

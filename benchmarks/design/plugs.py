@@ -93,7 +93,7 @@ def outline(tool: Mold, time: float) -> Array:
     places = tool.vertices_at(time)[np.unique(np.asarray(tool.triangles))]
     rings = np.unique(np.round(1e6 * np.stack([np.hypot(places[:, 0], places[:, 1]), places[:, 2]], 1)), axis=0) / 1e3
     rings = rings[np.lexsort((rings[:, 0], -rings[:, 1]))]
-    # Of the far end of a rod the edge alone.
+    # The edge alone of the far end of a rod.
     far = rings[:, 1] == rings[:, 1].min()
     return rings[~far | (rings[:, 0] == rings[far, 0].max())]
 

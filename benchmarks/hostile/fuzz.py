@@ -41,11 +41,11 @@ KINDS: dict[str, tuple[int, Make]] = {
     "meshes": (1000, fuzz_inputs.damaged_mesh),
     "caches": (100, fuzz_inputs.damaged_cache),
 }
-"""How many of each kind, and what makes one."""
+"""Number of cases of each kind, and the function that makes one."""
 
 
 _SELDOM = {"files": 20, "meshes": 20}
-"""Of which only every so many are given to `check`: it compiles a step, which takes ten times as long as the rest."""
+"""Kinds of which one in so many is given to `check`: it compiles a step, which takes ten times as long as the rest."""
 
 
 def run_case(kind: str, number: int) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def _outcome(arguments: list[str]) -> dict[str, Any]:
     out, err = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
-            # Of doubtful input; all others are printed, which counts as a fault.
+            # Warnings of doubtful input; all others are printed, which counts as a fault.
             warnings.simplefilter("ignore", InputWarning)
             status = command.main(arguments) if arguments[0] == "check" else _load(*arguments)
     except BaseException:
@@ -83,7 +83,7 @@ def _outcome(arguments: list[str]) -> dict[str, Any]:
 
 
 def _load(what: str, path: str) -> int:
-    """What a command does before it compiles a step."""
+    """Does what a command does before it compiles a step."""
     import optimize
     from jaxform.core.errors import InputError
     from jaxform.io import files
@@ -144,7 +144,7 @@ def run_worker(kind: str, numbers: list[int]) -> Iterator[dict[str, Any]]:
 
 
 def _environment() -> dict[str, str]:
-    """What is compiled for one case need not be for the next."""
+    """The environment of the commands, in which cases share compiled programs."""
     programs = {
         "JAX_COMPILATION_CACHE_DIR": str(fuzz_inputs.CACHE / "programs"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
@@ -181,7 +181,7 @@ class _Watch:
 
 
 def _state(process: int) -> tuple[str, float]:
-    """Whether a process runs (R) or sleeps (S), and the seconds of CPU that it has had."""
+    """State of a process, R for running or S for sleeping, and its CPU time [s]."""
     try:
         facts = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -228,7 +228,7 @@ def run(wanted: dict[str, int], workers: int = 2, first: int = 0) -> list[dict[s
 
 
 def faults(case: dict[str, Any]) -> list[str]:
-    """What is wrong with a case."""
+    """Faults of a case."""
     marks = {
         "traceback": case["status"] == -1,
         "hang": case["status"] == -2 or case["seconds"] > MOST_SECONDS,

@@ -1,4 +1,4 @@
-"""What `benchmarks.hostile.fuzz` damages, and how: good inputs with a few places changed at random."""
+"""Inputs that `benchmarks.hostile.fuzz` damages: good ones with a few places changed at random."""
 
 from __future__ import annotations
 

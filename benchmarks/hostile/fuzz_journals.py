@@ -44,7 +44,7 @@ Questions = list[tuple[str, list[float], dict[str, Any]]]
 
 
 def questions(random_: random.Random) -> Questions:
-    """What a search asks, and what it is told."""
+    """Questions of a search, and the answers."""
     asked = []
     for number in range(random_.randint(2, 12)):
         at = [random_.gauss(0, 1) for _ in range(4)]
@@ -189,7 +189,7 @@ def outcome(path: Path, asked: Questions) -> str:
 
 
 def fuzz(folder: Path, count: int, seed: int) -> Counter[str]:
-    """How so many damaged journals end, how many took too long, and whether the process took too much memory."""
+    """Counts the ends of damaged journals, those that took too long, and whether memory grew too much."""
     found: Counter[str] = Counter()
     for number in range(count):
         random_ = random.Random(f"{seed} {number}")

@@ -1,4 +1,4 @@
-"""What `kill -9` at random moments loses: the command is killed, run again, and must end as if nothing had happened.
+"""Losses by `kill -9` at random moments: the command is killed, run again, and must end as if nothing had happened.
 
 Run it with `make killed`, or `python -m benchmarks.hostile.killed COUNT`: so many kills of `simulate` (then again with
 --force) and of `optimize` (then --resume). Looked at after each kill: is every file that is there whole? And after the
@@ -158,7 +158,7 @@ def _answers(out: Path) -> int:
 
 
 def _outcome(out: Path) -> dict[str, Any]:
-    """What must not depend on whether a run was killed: the best design, the mesh, and the summary without times."""
+    """Results that must not depend on kills: the best design, the mesh, and the summary without times."""
     summary = json.loads((out / "summary.json").read_text())
     same: dict[str, Any] = {key: value for key, value in summary.items() if not _TIMED.search(key)}
     # Killed before its first answer, a search has nothing to go on with, and says so.

@@ -25,11 +25,11 @@ Row = dict[str, Any]
 PAPER = {"body": "60", "neck": "20", "bottom": "about 50", "handle": "50 to 60"}
 """Thinning [%] that the paper states (4.3)."""
 HANDLE_MIDDLE = 0.8
-"""Where the handle is cut: x over the radius of the bottle."""
+"""Place of the cut through the handle: x over the radius of the bottle."""
 
 
 def regions(positions: np.ndarray, shape: Bottle) -> dict[str, np.ndarray]:
-    """Which places (n, 3) [m] of the formed bottle belong to which region."""
+    """Masks of the places (n, 3) [m] of the formed bottle that belong to each region."""
     x, height = positions[:, 0], positions[:, 1] / shape.height
     # The hole's middle, and how far up and down of it the handle is a plain rod.
     beside_hole = np.abs(height - 0.66) < 0.8 * shape.hole[1] / shape.height
@@ -68,7 +68,7 @@ def show_thinning(scene: Scene, result: Result) -> list[Row]:
 
 
 def geometry(scene: Scene) -> Row:
-    """What geometry alone allows: areas [m^2] of the mold and of what it covers of the parting plane.
+    """Bounds by geometry alone: areas [m^2] of the mold and of what it covers of the parting plane.
 
     A parison that is clamped along the whole outline cannot be smaller than the outline is flat; so the mean wall
     cannot be thinner than h0 times the flat area over the mold's.

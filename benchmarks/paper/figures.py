@@ -46,7 +46,7 @@ PAPER: dict[str, Row] = {
 _STAGES, _FRAMES = 4, 24
 _LOOK = 16  # steps between two looks at a part
 _ROOM = {"dish": (0.0, 0.0, 0.88, 0.94), "box-insert": (-0.06, -0.2, 1.0, 1.3), "soap-bottle": (0.0, 0.0, 0.8, 0.94)}
-"""Of an animation, where the part is drawn; the colours' bar is beside it."""
+"""Area of an animation in which the part is drawn; the colour bar is beside it."""
 _LIGHT = np.array([0.35, -0.62, 0.70])
 
 
@@ -159,7 +159,7 @@ def reduce_surface(scene: Scene, part: Result) -> np.ndarray:
 
 
 def view_of(name: str) -> Row:
-    """Where each scene is looked at from."""
+    """The direction from which each scene is viewed."""
     if name == "soap-bottle":
         return {"elev": 14, "azim": -60, "zoom": 1.25}
     # Hanging, with the quarter in front left out: one looks into it. Seen over its corner a box is wider than a dish.
@@ -388,7 +388,7 @@ def count_table(found: Row) -> str:
 
 
 def check_table(found: Row) -> str:
-    """How sound each run is."""
+    """The table of checks of each run."""
     head = ["scene", "status", "touches the mold", "deepest an element cuts it", "energy balance within", "mass added"]
     head.append("nodal wall against the exact one, rms")
     rows = [
@@ -417,7 +417,7 @@ def thinning_table(found: Row) -> str:
 
 
 def dependence_table(found: Row) -> str:
-    """What the bottle's wall depends on."""
+    """The table of what the bottle's wall depends on."""
     names = [*bottle_tables.PAPER, "touches"]
     rows = []
     for row in found["dependence"]:

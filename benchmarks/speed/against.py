@@ -29,7 +29,7 @@ _SERVE = "--serve"
 
 
 def _makers() -> dict[str, Callable[[], Callable[[], Any]]]:
-    """What makes what is timed, by the public face alone, as it was and is."""
+    """Functions that make what is timed, by the public interface alone, as it was and is."""
     import jax
     import jax.numpy as jnp
 
@@ -122,25 +122,25 @@ def _answer(process: subprocess.Popen[str]) -> Any:
 
 
 def _time_answer(process: subprocess.Popen[str], name: str) -> dict[str, float]:
-    """What a run takes [s], by what its name is followed by: all of it, and its loop alone."""
+    """Time of a run [s] by the suffix of its name: all of it, and its loop alone."""
     assert process.stdin is not None
     print(name, file=process.stdin, flush=True)
     return _answer(process)
 
 
 class Pair(NamedTuple):
-    """What two processes, of this checkout and of the other, took [s]: run by run, and for the first time."""
+    """Times of two processes, of this checkout and of the other [s]: run by run, and for the first time."""
 
     rounds: dict[str, list[list[dict[str, float]]]]
     first: list[dict[str, float]]
 
     def ratio(self, name: str, part: str) -> float:
-        """Of this checkout's time to the other's."""
+        """Ratio of this checkout's time to the other's."""
         return statistics.median(mine[part] / its[part] for mine, its in self.rounds[name])
 
 
 def _measure_pair(other: Path, rounds: int, names: list[str], programs: str) -> Pair:
-    """What two new processes take, in turns."""
+    """Times of two new processes, in turns."""
     processes = [_start_server(folder, names, programs) for folder in (_HERE, other)]
     first = [_answer(process) for process in processes]
     both = [name for name in first[0] if name in first[1]]

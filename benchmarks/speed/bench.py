@@ -82,7 +82,7 @@ def show_bare(sizes: tuple[int, ...] = SIZES) -> Table:
 
 
 def show_formulations(sizes: tuple[int, ...] = (2048, 32768)) -> Table:
-    """What each way to write the force costs."""
+    """Prints the cost of each way to write the force."""
     table = []
     for size in sizes:
         sheet = sheets.sheet(size)
@@ -210,7 +210,7 @@ def disable_skips(scene: jaxform.Scene, **switches: bool) -> jaxform.Scene:
 
 
 def show_skips() -> Table:
-    """What every switch saves."""
+    """Prints what every switch saves."""
     table = []
     for name, scene in skip_scenes():
         scenes = {switch: disable_skips(scene, **off) for switch, off in SKIPS.items()}
@@ -380,7 +380,7 @@ def show_batch(count: int = 16) -> Table:
 
 
 def show_start() -> Table:
-    """What the command takes beside the run itself: the second run of a scene, with its programs in the cache."""
+    """Prints the command's time beside the run itself: the second run of a scene, with its programs in the cache."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "jaxform.cli", "simulate", "dish", "--out", folder, "--force", "--quiet"]
         environment = os.environ | {"XDG_CACHE_HOME": f"{folder}-cache"}

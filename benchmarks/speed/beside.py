@@ -1,4 +1,4 @@
-"""What a command does beside the steps, in seconds: load, check, penetration, VTU and pictures of large sheets.
+"""Times of a command beside the steps, in seconds: load, check, penetration, VTU and pictures of large sheets.
 
 And of molds of 100 000 triangles of any shape: slivers as long as the wall, a fan of them from one vertex, small ones
 all over; and of a sheet that burst.
@@ -97,7 +97,7 @@ damping = 100.0
 
 
 def run_timed(what: str, work: Callable[[], Any]) -> tuple[Any, float]:
-    """What the work gives, and its seconds, which are printed."""
+    """The result of the work, and its time [s], which is printed."""
     begin, used = time.perf_counter(), time.process_time()
     found = work()
     seconds, used = time.perf_counter() - begin, time.process_time() - used

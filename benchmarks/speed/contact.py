@@ -64,7 +64,7 @@ MOLDS: dict[str, Callable[[], Mold]] = {
 
 
 class Paths(NamedTuple):
-    """How random paths fared against brute force."""
+    """Results of random paths beside those of brute force."""
 
     triangles: int
     paths: int
@@ -330,7 +330,7 @@ def show_gradients() -> None:
 
 
 def show_penetration() -> None:
-    """How far nodes and elements are beyond the mold in each scene."""
+    """Prints how far nodes and elements are beyond the mold in each scene."""
     scenes = [jaxform.load(name) for name in ("bowl", "dish-coarse", "dish")]
     scenes += [box(mold_of(molds.box_insert()), elements) for elements in (150, 600, 2400)]
     scenes += [bottle(mold_of(molds.bottle_half()), size) for size in (0.0071, 0.004)]

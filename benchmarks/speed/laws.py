@@ -1,4 +1,4 @@
-"""What a step costs with each law, viscous modes, zones, temperature and cooling, beside a neo-Hookean one.
+"""Cost of a step with each law, viscous modes, zones, temperature and cooling, beside a neo-Hookean one.
 
     python -m benchmarks.speed.laws
 

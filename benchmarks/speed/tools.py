@@ -1,4 +1,4 @@
-"""What a second tool, a moving one and friction cost per step: `python -m benchmarks.speed.tools`.
+"""Cost of a second tool, a moving one and friction per step: `python -m benchmarks.speed.tools`.
 
 A quarter of a disc is blown into a cup of 80 degrees. Beside the mold there is a plate behind the sheet, which nothing
 touches: at rest, then moving away. Then nodes slide on the mold with friction. There no element is ever dropped, since

@@ -1,4 +1,4 @@
-"""How long one waits before the first step: for the first scene of a kind, for the next, and through the command.
+"""Time before the first step: for the first scene of a kind, for the next, and through the command.
 
 Each part runs alone by name: `.venv/bin/python -m benchmarks.speed.waiting second room sweep command cold gradient`.
 """
@@ -97,7 +97,7 @@ def _whole(scene: Scene, store: Store) -> Callable[[], Any]:
 
 
 def show_room() -> None:
-    """What room that is not used costs a run, at a rung's begin and end; turn about."""
+    """Prints the cost of unused capacity at the begin and end of a bucket; runs alternate."""
     print("a run in the room of its rung over one in arrays as long as it needs", flush=True)
     for elements in (520, 1020, 1080, 2350, 2430):
         scene, store = dish(0.05, 70.0, elements), Store()
@@ -172,7 +172,7 @@ def _baseline_seconds(source: str, folder: Path) -> float:
 
 
 def show_cold() -> None:
-    """What a run waits for where nothing is kept; after a first small one, which pays for the libraries."""
+    """Prints the waiting times of a run without a cache, after a first small one, which pays for the libraries."""
     measure_waiting(dish(0.05, 70.0, 20))
     print("first scene of a kind, nothing kept: first step after [s]", flush=True)
     for name in _NAMES:

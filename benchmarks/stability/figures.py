@@ -216,7 +216,7 @@ def ringing(steps: int, shape: str = "small sphere", law: Law | None = None, pre
 
 
 def measure_drift(scene: Scene, steps: int, points: int = 200) -> Found:
-    """What the energy balance misses over time, over the largest work; and the largest stretch."""
+    """Error of the energy balance over time, over the largest work; and the largest stretch."""
     state, first, taken = host.begin(scene)
     rows, began, most = [], time.perf_counter(), max(1, steps // SHORT_WINDOW // points)
     stretch = 1.0
@@ -246,7 +246,7 @@ def show_drift(steps: int = STEPS) -> Found:
 
 
 def show_random(count: int = SEEDS) -> Found:
-    """How so many random scenes end; the rows themselves are left in out/stability."""
+    """Prints how so many random scenes end; the rows themselves are left in out/stability."""
     rows = stress.campaign(count, OUT / "random.jsonl")
     return summary_of(rows)
 

@@ -80,7 +80,7 @@ def film_volume(made: jaxform.Scene, result: jaxform.Result) -> float:
 
 
 def beyond(made: jaxform.Scene, result: jaxform.Result) -> float:
-    """How far [m] a node is beyond the parting plane, or beyond the land of the half that closes from its side."""
+    """Distance [m] of a node beyond the parting plane, or beyond the land of the half that closes from its side."""
     assert made.mold is not None
     x = np.asarray(result.positions)[:, 0]
     if made.tools[0].motion is None:
@@ -90,7 +90,7 @@ def beyond(made: jaxform.Scene, result: jaxform.Result) -> float:
 
 
 def measure(count: int = 200) -> Found:
-    """How so many scenes end, and the largest depth [m], change of volume and error of the energy balance."""
+    """Ends of so many scenes, and the largest depth [m], change of volume and error of the energy balance."""
     warnings.simplefilter("ignore")
     endings: Counter[str] = Counter()
     deepest, lost, balance, bad, begun = -np.inf, [], [], [], time.perf_counter()

@@ -54,7 +54,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Family:
-    """What the scenes of a family have in common.
+    """Common properties of the scenes of a family.
 
     Attributes:
         sheet: A sheet of size 1.
@@ -238,7 +238,7 @@ def _distort(sheet: Sheet, family: Family, random: Generator, tags: list[str]) -
 
 
 def _least_height(corners: np.ndarray) -> np.ndarray:
-    """Of triangles (n, 3, 3)."""
+    """Least height of triangles (n, 3, 3)."""
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.linalg.norm(cross, axis=1) / longest

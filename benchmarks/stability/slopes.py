@@ -89,7 +89,7 @@ def growth(scene: Scene, schedule: Schedule, wall: jax.Array, shares: tuple[floa
 
 
 def show_gradients(count: int = 100) -> Found:
-    """Of random scenes that end well."""
+    """Prints errors of gradients of random scenes that end well."""
     rows, curves, shares = [], [], (0.1, 0.25, 0.5, 0.75, 1.0)
     # Family by family, so that each is compiled for once and then forgotten.
     each = -(-count // len(CHOSEN))
@@ -159,7 +159,7 @@ def along_a_line(scene: Scene, *, replayed: bool, points: int = 30, span: float 
 
 
 def spread(line: np.ndarray, values: list[float], slopes: list[float]) -> Found:
-    """How far slopes are from a smooth curve, and from the differences of the values, over their mean size."""
+    """Deviation of slopes from a smooth curve, and from differences of the values, over their mean size."""
     size = float(np.mean(np.abs(slopes)))
     smooth = np.polyval(np.polyfit(line, slopes, 2), line)
     differences = np.gradient(np.asarray(values), line)

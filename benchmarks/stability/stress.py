@@ -36,7 +36,7 @@ _AT_ONCE = 100  # windows between two looks at the clock
 
 
 def run_drawn(drawn: Drawn, limit: float = LIMIT) -> tuple[State, Result]:
-    """What `jaxform.run` does, with the windows that the scene had planned, looking at the clock."""
+    """Runs a scene as `jaxform.run` does, with the windows that were planned, within a time limit."""
     room, left = pad_to_bucket(drawn.scene, recorded=True), drawn.planned
     scene = room.scene
     state, first, taken = host.begin(scene)
@@ -123,7 +123,7 @@ def classify(row: Row) -> str:
 
 
 def one(seed: int) -> Row:
-    """What became of a seed."""
+    """The outcome of a seed."""
     row: Row = {"seed": seed}
     began = time.perf_counter()
     with warnings.catch_warnings(record=True) as heard:

@@ -44,7 +44,7 @@ def _body(rng: Generator, size: float) -> tuple[Array, NDArray[np.int64]]:
 
 
 def depth(places: Array, tool: jaxform.Mold, time: float) -> Array:
-    """How deep places (n, 3) [m] are in a convex tool at a time [s], (n,) [m]; negative outside."""
+    """Depths (n,) [m] of places (n, 3) [m] in a convex tool at a time [s]; negative outside."""
     vertices, triangles = tool.vertices_at(time), np.asarray(tool.triangles)
     corners, middle = vertices[triangles], vertices.mean(0)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

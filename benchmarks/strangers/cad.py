@@ -83,7 +83,7 @@ def _call(*arguments: str) -> tuple[int, str, str, float]:
 
 
 def try_part(part: Part, name: str, form: str, refined: bool, folder: Path) -> Row:
-    """What `check` and `simulate` make of one scene."""
+    """The outcome of `check` and `simulate` for one scene."""
     stem = f"{name} {form} {'refined' if refined else 'uniform'}".replace(" ", "-")
     mold = folder / f"{name}-{form}".replace(" ", "-")
     mold = mold.with_suffix("." + form.split()[-1])
@@ -147,7 +147,7 @@ def words(row: Row) -> str:
 
 
 def well(row: Row) -> bool:
-    """Whether a scene ran to a plausible part: what is refused is looked at by a person."""
+    """True if a scene ran to a plausible part; refusals are looked at by a person."""
     if row["simulate"] != 0:
         return False
     kept = abs(row["mass"]) < _BETWEEN_CHORDS and abs(row["in the file"]) < 1e-9

@@ -44,7 +44,7 @@ _OF_FILLING = ("not filled", "closed off by contact")  # what says in words that
 
 @dataclass
 class Row:
-    """What became of one file.
+    """The outcome of one file.
 
     Attributes:
         name: Name of the kind.
@@ -72,13 +72,13 @@ class Row:
 
     @property
     def says_unfilled(self) -> bool:
-        """Whether the run says of the part that it does not fill the mold."""
+        """True if the run says that the part does not fill the mold."""
         told = " ".join([self.status, *self.warnings])
         return any(words in told for words in _OF_FILLING)
 
     @property
     def right(self) -> bool:
-        """Whether the file ran, or was refused with a way forward that runs, and what is not filled is said."""
+        """True if the file ran, or was refused with a remedy that runs, and the unfilled is reported."""
         ran = bool(self.status) and np.isfinite(self.filled)
         return ran and (self.filled >= _FILLED or self.says_unfilled)
 
@@ -93,7 +93,7 @@ class Row:
 
 
 def try_file(name: str, folder: Path, coarse: float = 1.0, fine: float = 1.0, limit: float = _LIMIT) -> Row:
-    """What `new` and `simulate` make of one kind of file, in a folder of its own."""
+    """The outcome of `new` and `simulate` for one kind of file, in a folder of its own."""
     row = Row(name)
     path = KINDS[name].write(folder, name, fine)
     row.triangles = len(_read(path).faces)

@@ -32,11 +32,11 @@ from jaxform.results.summary import measure_penetration, warnings_of_mold
 from jaxform.tools.molds import MoldShape
 
 DISTANCES = (0.0, 1e-9, -1e-9, 1e-6, -1e-6, 1e-5, 1e-4, 1e-3)
-"""Of the flange from the sheet's plane, on the side that the pressure pushes to [m]."""
+"""Distances of the flange from the sheet's plane, on the side that the pressure pushes to [m]."""
 WIDTHS = ("wider", "equal", "narrower")
 """The sheet's, beside the flange's."""
 LEVELS = (0, 2, 4, 6)
-"""Of refinement; the coarser the first mesh, the higher."""
+"""Levels of refinement; the coarser the first mesh, the higher."""
 THICKNESS = 1.0e-3  # m
 TOLERANCE = 0.01  # of the wall, rms
 _STRIDE, _COUNT = 179, 60  # through all scenes: no two factors go together
@@ -78,7 +78,7 @@ class Case(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What became of a scene: status in words, rms of the wall [relative], and what else was wrong."""
+    """The outcome of a scene: status in words, rms of the wall [relative], and what else was wrong."""
 
     status: str
     rms: float
@@ -91,7 +91,7 @@ class Found(NamedTuple):
 
     @property
     def right(self) -> bool:
-        """Whether the run was stable and its wall is right."""
+        """True if the run was stable and its wall is right."""
         return self.status == "ok" and self.rms <= TOLERANCE and self.thickest <= _THICKER and not self.warned
 
 

@@ -79,7 +79,7 @@ def _write(folder: Path, elements: int) -> None:
 
 
 def _sweep(folder: Path, workers: int, cache: Path) -> dict[str, Any]:
-    """What sweep.json says of a sweep, and the time between its first row and its last [s]."""
+    """The contents of a sweep's sweep.json, and the time between its first row and its last [s]."""
     known = {key: text for key, text in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
     command = [sys.executable, "-m", "jaxform.cli", "sweep", "table.csv", "--scene", "scene.toml", "--out", "out"]
     command += ["--force", "--quiet", "--workers", str(workers)]

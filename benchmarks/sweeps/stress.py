@@ -154,7 +154,7 @@ def _starts(folder: Path, number: int) -> list[float]:
 
 
 def _record_times(folder: Path) -> dict[int, float]:
-    """When each design was recorded first."""
+    """The time at which each design was recorded first."""
     path = folder / "recorded.log"
     found: dict[int, float] = {}
     for line in path.read_text().splitlines() if path.exists() else []:

@@ -49,7 +49,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def live(scene: Scene) -> Result:
-    """Of the scene as it is; `run` has it in the room of its bucket."""
+    """A simulation of the scene as it is; `run` has it in the room of its bucket."""
     return jax.jit(jaxform.simulate)(scene)
 
 
@@ -179,7 +179,7 @@ def test_what_is_near_a_bend_becomes_as_fine_as_it_should_be(reach: float) -> No
     _, level, distance, side = look_at(scene)
     near = distance + slack < reach * side
     assert np.all(level[near] >= 6) and np.sum(level >= 6) > 50
-    # What is coarse still is far, and nothing is fine that is far from all bends.
+    # Coarse elements are far from all bends, and no fine element is.
     assert np.all(level[distance - slack > 0.3 * reach] == 0)
     _, coarse, *_ = look_at(over_a_block(reach, min_area=float(scene.tables.sheet.area[0]) / 9))
     assert coarse.max() < level.max()
@@ -270,7 +270,7 @@ def test_a_run_refines_balances_and_is_what_simulate_gives(scene: Scene, live: R
 
 @jax.jit
 def replay_unevenness(share: jax.Array, way: jax.Array, scene: Scene, schedule: Schedule) -> tuple[jax.Array, Result]:
-    """How uneven the wall is when the replayed sheet is so much thicker; and the part."""
+    """Unevenness of the wall when the replayed sheet is so much thicker; and the part."""
     changed = jaxform.replace(scene, {"parison.thickness": scene.parison.thickness + share * way})
     part = jaxform.simulate(changed, schedule=schedule)
     area = part.element_volume / jnp.where(part.used, part.element_thickness, 1.0)

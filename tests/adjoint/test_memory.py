@@ -1,4 +1,4 @@
-"""What the reverse derivative of a run keeps."""
+"""Memory of the reverse derivative of a run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import jaxform
 
 
 def kept_by_loops(jaxpr: Any, length: int) -> int:
-    """How many numbers the loops of a length keep of all their passes."""
+    """Count of the numbers that loops of a length keep of all their passes."""
     total = 0
     for equation in jaxpr.eqns:
         for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda value: hasattr(value, "eqns")):

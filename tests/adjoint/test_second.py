@@ -54,7 +54,7 @@ def _bound_steps(scene: jaxform.Scene) -> jaxform.Scene:
 
 
 def _figure(scene: jaxform.Scene) -> Callable[[jax.Array], jax.Array]:
-    """Of four factors, on thickness, pressure, density and damping: what depends on all that carries a derivative."""
+    """A figure of four factors, on thickness, pressure, density and damping; all that carries a derivative counts."""
     numbers = {
         "parison.thickness": scene.parison.thickness,
         "pressure.value": scene.pressure.value,

@@ -1,4 +1,4 @@
-"""What the page of the paper's scenes is made with: stretches, cuts, stages, tables, and that it was made."""
+"""Parts of the page of the paper's scenes: stretches, cuts, stages, tables, and that it was made."""
 
 from __future__ import annotations
 

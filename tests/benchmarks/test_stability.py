@@ -19,8 +19,8 @@ from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.state import Status
 from tests import scenes
 
-# Of the family "free sphere", which shares one program. 7 and 31 overflowed within a window: they stiffen in it. With
-# the short steps of undamped sheets 7 does no more.
+# Seeds of the family "free sphere", which shares one program. 7 and 31 overflowed within a window: they stiffen in it.
+# With the short steps of undamped sheets 7 does no more.
 ONCE_BROKEN = (7, 31)
 RETRIED = 31
 OTHERS = (19, 43, 55, 67, 79, 91, 103, 115, 127, 139)

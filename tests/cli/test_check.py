@@ -1,4 +1,4 @@
-"""What the command says before and after a run: `check` of scenes and studies, warnings, and the files of the part."""
+"""Messages before and after a run: `check` of scenes and studies, warnings, and the files of the part."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_check_reads_studies(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     (tmp_path / "study.toml").write_text(STUDY.replace("knots = 3", "knots = 0"))
     assert command.main(["check", str(tmp_path / "study.toml")]) == 2
     assert "study.toml" in capfd.readouterr().err
-    # What optimize refuses before it begins.
+    # Studies that optimize refuses before it begins.
     thin = STUDY.replace("minimum = 0.0005", "minimum = 0.01")
     assert thin != STUDY
     (tmp_path / "study.toml").write_text(thin)

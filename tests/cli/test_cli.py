@@ -142,7 +142,7 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
     assert capfd.readouterr().out == f"report in {out / 'report.html'}\n"
     assert (out / "report.html").read_text() == page
     assert f"DIR = '{tmp_path}': holds no summary.json" in _assert_refused(capfd, "report", str(tmp_path))
-    # What an earlier run left is not taken for this one's.
+    # Files of an earlier run are not taken for this one's.
     scene_file.write_text(re.sub(r"\[mold\].*?\[solver\]", "[solver]", SCENE, flags=re.DOTALL))
     assert command.main(["simulate", str(scene_file), "--out", str(out), "--force", "--quiet"]) == 0
     assert not (out / "frames.pvd").exists() and not (out / "mold.vtu").exists()
@@ -168,7 +168,7 @@ def test_what_is_stopped_while_it_measures_keeps_its_part(
     assert len(meshio.read(out / "final.vtu").points) == summary["nodes_final"]
     monkeypatch.undo()
     assert command.main(["report", str(out)]) == 0
-    # What is run again knows all.
+    # A second run finds all programs.
     assert command.main(["simulate", str(_write(tmp_path)), "--out", str(out), "--force"]) == 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["penetration_max"] is not None and summary["gap_max"] is not None

@@ -165,7 +165,7 @@ def test_molds_that_are_in_the_folder_are_not_overwritten(tmp_path, capfd):
     assert [path.read_bytes() for path in paths] == before
     assert (folder / "a-2.stl").read_bytes() == before[0]
     assert files.read_scene(folder / "scene.toml").data["mold"]["path"] == ["a-2.stl", "a.stl"]
-    # What closes holes has a name of its own.
+    # The covers of holes have a name of their own.
     holed = write(folder / "covers.stl", dish(hole=True), 0.001)
     before = [holed.read_bytes(), (folder / "scene.toml").read_bytes()]
     capfd.readouterr()

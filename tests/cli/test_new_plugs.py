@@ -75,7 +75,7 @@ def test_a_plug_that_is_beside_the_cavity_is_put_before_its_middle(tmp_path: Pat
         (tool,) = scene.tools
         assert tool.motion is not None
         middle, tip = np.asarray(tool.vertices).mean(0)[:2], float(np.asarray(tool.vertices)[:, 2].max())
-        # Of one above the cavity, the place is kept.
+        # The place of one above the cavity is kept.
         np.testing.assert_allclose(middle, [0.01 if name == "above.stl" else 0.0, 0.0], atol=1e-3)
         np.testing.assert_allclose(tip + float(tool.motion.displacement[-1]), 0.04, rtol=0.01)
         assert plausibility.find_meetings(scene) == []

@@ -1,4 +1,4 @@
-"""What `jaxform warm` compiles beforehand, and what `jaxform check` says of it."""
+"""Programs that `jaxform warm` compiles beforehand, and the words of `jaxform check` on them."""
 
 from __future__ import annotations
 

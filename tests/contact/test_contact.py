@@ -295,7 +295,7 @@ def _run_blind() -> jaxform.Result:
 
 @pytest.mark.long
 def test_what_touches_between_two_looks_unseen_is_retried() -> None:
-    """Where a look does not look ahead, the first nodes to touch are always seen too late."""
+    """A search that does not look ahead always finds the first nodes to touch too late."""
     scene = scenes.cup()
     seen, blind = jaxform.run(scene), scenes.call_elsewhere(_run_blind)
     assert jaxform.explain(blind) == "ok"

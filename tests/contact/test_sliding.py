@@ -192,14 +192,14 @@ def test_a_step_within_a_triangle_is_that_of_the_walk_over_triangles() -> None:
     quick = *place, *speed
     for one, other in zip(quick, (*walk.positions, *walk.velocities), strict=True):
         np.testing.assert_allclose(np.asarray(one)[stays], np.asarray(other)[stays], rtol=0, atol=1e-14)
-    # What is lost in all; along a normal that a symmetry plane cuts it is shared out differently.
+    # The sum of the losses; along a normal that a symmetry plane cuts it is shared out differently.
     losses = [np.sum([np.broadcast_to(x, count) for x in each], axis=0)[stays & ~held] for each in (
         (fast.friction, fast.impact), (walk.losses.friction, walk.losses.impact))]  # fmt: skip
     np.testing.assert_allclose(losses[0], losses[1], atol=1e-13)
     for name in ("work", "damping"):
         own, others = (np.broadcast_to(getattr(each, name), count)[stays] for each in (fast, walk.losses))
         np.testing.assert_allclose(own, others, atol=1e-13)
-    # Of a triangle that is not the one that nodes lie on nothing is known.
+    # Nothing is known of triangles other than the one that nodes lie on.
     assert not np.any(slide_within_facets(nodes, known._replace(wall=-wall), steps, surfaces, frames, damping)[1])
 
 
@@ -383,7 +383,7 @@ def test_a_node_that_slides_through_a_hollow_is_braked_as_by_a_capstan() -> None
         ratios.append(speed / np.exp(-friction * turned))
         distance = np.log1p(friction * 8 * parts * float(step)) / friction
         assert float(glide.distance[0]) == pytest.approx(distance, rel=1.6 / parts)
-        # What is lost is friction, but for what the corners take.
+        # The loss is by friction, but for what the corners take.
         energy = 0.5 * (1.0 - speed**2)
         assert float(glide.lost[0] + glide.rubbed[0]) == pytest.approx(energy, rel=1e-12)
         assert float(glide.lost[0]) < 2.0 * np.pi / parts * energy

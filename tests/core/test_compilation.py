@@ -50,7 +50,7 @@ def test_programs_of_a_script_are_found_by_the_next_process(tmp_path: Path, name
     assert before[1] == "0" and int(before[2]) > 0
     assert after[2] == "0" and int(after[1]) == int(before[2])
     assert folder.stat().st_mode & 0o077 == 0
-    # What somebody else has put there under a known name is not run.
+    # A file that somebody else has put there under a known name is not run.
     for program in folder.glob("*-cache"):
         program.write_bytes(b"another")
     assert _run(*arguments, XDG_CACHE_HOME=str(tmp_path))[0] == first

@@ -54,7 +54,7 @@ def test_openings_are_found() -> None:
     assert not _faults('"""Offset.\n\nRaises:\n    InputError: Where it is.\n"""\n# Where it is open, it is used.\n')
 
 
-@pytest.mark.parametrize("folder", ["jaxform", "optimize"])
+@pytest.mark.parametrize("folder", ["jaxform", "optimize", "benchmarks", "tests", "tools"])
 def test_docstrings_and_comments_open_with_their_subject(folder: str) -> None:
     found = {str(path): _faults(path.read_text()) for path in (ROOT / folder).rglob("*.py")}
     assert not {path: lines for path, lines in found.items() if lines}

@@ -1,4 +1,4 @@
-"""What is installed: the wheel has every file, and its metadata say what the code relies on."""
+"""Installed files: the wheel has every file, and its metadata say what the code relies on."""
 
 from __future__ import annotations
 

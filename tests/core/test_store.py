@@ -1,4 +1,4 @@
-"""What is kept between runs is the same as what is made, and nothing that is wrong with the files does harm."""
+"""Stored data are the same as newly made ones, and no fault of the files does harm."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def test_a_strip_that_is_let_go_oscillates_as_a_bar() -> None:
     result = jaxform.run(scene)
     rest = np.asarray(parison.positions)[:, 0] / (1.0 + strain)
     moved = np.asarray(result.positions)[:, 0] - rest
-    # Of the uniform strain the lowest mode sin(pi x / 2) has the amplitude 8 / pi^2 of the end.
+    # In the uniform strain the lowest mode sin(pi x / 2) has the amplitude 8 / pi^2 of the end.
     along = np.argsort(rest[:41])
     amplitude = 2.0 * np.trapezoid((moved[:41] * np.sin(0.5 * np.pi * rest[:41]))[along], rest[:41][along])
     expected = 8.0 / np.pi**2 * strain * np.cos(2.0 * np.pi * 2.125)

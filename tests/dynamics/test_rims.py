@@ -137,7 +137,7 @@ def test_the_ways_to_go_back_agree_and_equal_differences(floor_scene: Scene) -> 
 
 
 def test_clamped_and_closed_sheets_count_by_volume_alone() -> None:
-    """What a scene does not use is absent from its program."""
+    """A part that a scene does not use is absent from its program."""
     disc, ball = shapes.disc(radius=1.0, elements=40, symmetry="quarter"), shapes.sphere(radius=1.0, elements=40)
     for sheet in (disc, ball, shapes.rectangle(size=[1.0, 0.5], elements=40, symmetry="quarter")):
         scene = jaxform.build_scene(

@@ -1,4 +1,4 @@
-"""What a window saves changes nothing; packing, blocks, checkpoints and batches give the numbers of plain runs."""
+"""Saved work changes nothing: packing, blocks, checkpoints and batches give the numbers of plain runs."""
 
 from __future__ import annotations
 
@@ -249,7 +249,7 @@ def test_the_first_step_is_not_cold() -> None:
     bound, (mode, _, _, _) = _first_step(plain)
     assert mode is None
     assert 1.1 < float(sharp / bound) < 2.0
-    # What `check` tells is found on the host. The step is on the ladder.
+    # The message of `check` is found on the host. The step is on the ladder.
     assert 0.85 < float(bound) / planning.first_step(plain) <= 1.0
 
 
@@ -350,7 +350,7 @@ def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
     assert not np.array_equal(active.packed.place, np.arange(stuck.size))
     for got, expected in zip(jax.tree.leaves(active.unpack_state(taken)), jax.tree.leaves(state), strict=True):
         np.testing.assert_array_equal(got, expected)
-    # What is not active makes up for what the account leaves out.
+    # The inactive elements make up for what the account leaves out.
     whole = discrete.whole
     thickness = discrete.thickness[whole.element]
     energy, volume = element_energy(state.nodes.positions * 1.1, whole.elements, thickness, scene.material, None)

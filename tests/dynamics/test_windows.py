@@ -60,7 +60,7 @@ def test_the_wall_is_that_of_short_windows(cup: jaxform.Scene, cup_result: jaxfo
 
 
 def test_after_one_that_was_cut_short_comes_a_short_one() -> None:
-    """Of a disc whose pressure jumps, so that a long window turns over more energy than it says."""
+    """A disc whose pressure jumps, so that a long window turns over more energy than it says."""
     disc = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
     jump = jaxform.make_pressure([0.0, 20.0, 20.01], [0.0, 0.02, 0.08])
     scene = dataclasses.replace(disc, pressure=jump, solver=jaxform.make_solver(end_time=22.0, damping=0.5))
@@ -208,7 +208,7 @@ def test_what_is_left_in_the_room_of_the_last_window_counts_for_nothing() -> Non
         return jax.lax.fori_loop(0, 9, window, (state, active))
 
     def full(room: jax.Array) -> jax.Array:
-        """Of what spoils everything; of places and triangles that exist, as an old list's do."""
+        """Values that spoil everything; places and triangles that exist, as an old list's do."""
         return jnp.full_like(room, jnp.nan if jnp.issubdtype(room.dtype, jnp.floating) else 1)
 
     state, active = jax.jit(begun)(initial_state(scene))

@@ -1,1 +1,1 @@
-"""What a user adds to jaxform from outside: each is one file and one registration."""
+"""Extensions of jaxform from outside: each is one file and one registration."""

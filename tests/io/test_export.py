@@ -96,7 +96,7 @@ def test_a_wall_on_another_mesh_of_its_surface_keeps_volume_and_field(elements: 
     assert areas(mesh.positions, mesh.triangles) @ mapped.element_thickness == pytest.approx(wall.volume, rel=1e-3)
     assert mapped.volume == pytest.approx(_exact(RADIUS)[1], rel=3e-3)  # 1000 flat triangles
     assert coverage.mesh > 0.995 and coverage.part > 0.995
-    # Of 250 triangles the surface is a hundredth smaller, so the wall is as much thicker.
+    # The surface of 250 triangles is a hundredth smaller, so the wall is as much thicker.
     np.testing.assert_allclose(mapped.thickness, _thickness(mesh.positions), rtol=0.015)
     # The bowl was formed straight upwards.
     np.testing.assert_allclose(mapped.reference, mesh.positions * [1, 1, 0], atol=1e-3)

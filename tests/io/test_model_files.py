@@ -88,7 +88,7 @@ def test_the_same_text_is_the_same_class_and_another_text_another(tmp_path: Path
     assert type(changed) is not first
     one = real(4.0)
     assert float(changed.energy(one, one)) == pytest.approx(2.0 * 0.2e6 + 1.0e3)
-    # What was read before is built with the model that it was read with.
+    # A scene that was read before is built with the model that it was read with.
     assert type(files.build(document).material) is first
 
 

@@ -112,7 +112,7 @@ def test_feature_edges_of_a_box_are_its_edges() -> None:
 
 
 def test_the_image_in_front_of_the_eye_is_left_out() -> None:
-    """Of a disc about the origin and of a rectangle that begins there, alike."""
+    """The same for a disc about the origin and a rectangle that begins there."""
     for name, middle in (("disc", [0.0, 0.0]), ("quarter rectangle", [1.0, 0.5])):
         sheet = SHEETS.get(name) or shapes.rectangle(size=(2.0, 1.0), elements=64, symmetry="quarter")
         scene, _ = _at_rest(sheet)
@@ -203,7 +203,7 @@ def test_of_a_part_the_diagram_draws_what_is_in_it_and_the_rest_faintly(name: st
 
 
 def test_covers_of_holes_hardly_show_before_a_run(tmp_path: Path) -> None:
-    """Of a mold that is a box without a floor, which a cover closes: beneath it a sheet and the box are seen."""
+    """A mold that is a box without a floor, which a cover closes: beneath it a sheet and the box are seen."""
     box = trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [1.0, 1.0, 0.4]])
     open_box = trimesh.Trimesh(box.vertices, box.faces[np.abs(box.face_normals[:, 2]) < 0.5])
     cover = trimesh.Trimesh(
@@ -375,5 +375,5 @@ def test_labels_of_tall_parts_are_in_the_picture(rise: float) -> None:
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         extent = axis.get_tightbbox(renderer)
         assert extent.y0 >= 0.0 and extent.y1 <= figure.bbox.y1 and 0.0 <= extent.x0 < extent.x1 <= 0.475 * 1600
-    # What is drawn is not lost by it.
+    # The drawing is not lost by it.
     assert all(artist.get_visible() for artist in axes.artists)

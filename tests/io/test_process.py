@@ -198,7 +198,7 @@ def test_a_browser_names_the_tool_that_was_clicked_on(folder: Path, tmp_path: Pa
 
 
 def test_contact_over_time_ends_with_that_of_the_end() -> None:
-    """Of four elements of one area: one on the mold since 1 s, one on the plug since 2 s, one clamped, one free."""
+    """Four elements of one area: one on the mold since 1 s, one on the plug since 2 s, one clamped, one free."""
     made: Any = SimpleNamespace(
         triangles=np.array([[0, 1, 2], [3, 4, 5], [6, 6, 6], [7, 8, 9]]),
         stuck=np.array([1, 1, 1, 0, 0, 0, 1, 0, 0, 0], bool),

@@ -256,7 +256,7 @@ def test_a_large_part_takes_little_room() -> None:
 
 
 def test_frames_share_a_mesh_or_bring_their_own(folder: Path) -> None:
-    """Of a refined sheet every frame has a mesh of its own, whose elements are packed in another order."""
+    """Every frame of a refined sheet has a mesh of its own, whose elements are packed in another order."""
     part, half = stored_results.read_results(folder).part, stored_results._part(folder / "frames" / "1.vtu")
     order = np.random.default_rng(0).permutation(len(part.triangles))
     finer = part._replace(triangles=part.triangles[order], cells={name: x[order] for name, x in part.cells.items()})
@@ -414,7 +414,7 @@ def test_a_mold_that_moves_is_where_it_was_at_each_frame(folder: Path) -> None:
     text = results.scene[1] + "\n[mold.motion]\ndirection = [0, 0, 2]\ntime = [0.0, 1e-3]\ndisplacement = [0.0, 0.05]\n"
     motion = stored_results._motion(stored_results._tables(text)["mold"])
     assert motion is not None
-    # Of a scene that a user has changed since, nothing is told.
+    # Nothing is said of a scene that a user has changed since.
     for other in ("[mold", text.replace("1e-3", '"x"'), text.replace("direction", "way"), text.replace("0.05", "nan")):
         assert stored_results._motion(stored_results._tables(other).get("mold")) is None
     facts = contents.pack_parts(dataclasses.replace(results, motion=motion), contents.Parcel())
@@ -509,7 +509,7 @@ def test_a_browser_draws_it_and_a_click_tells_the_wall(page: browser.Browser, fo
 
 
 def _visible_elements(folder: Path, width: int, height: int) -> NDArray[np.int64]:
-    """Which element each pixel (height, width) of the first view shows, -1 none: by a camera and raster of ours."""
+    """Elements that the pixels (height, width) of the first view show, -1 none: by a camera and raster of ours."""
     part = stored_results.read_results(folder).part
     images = [part.positions * [x, y, 1] for y in (1, -1) for x in (1, -1)]
     faces = np.concatenate([image[part.triangles] for image in images])

@@ -1,4 +1,4 @@
-"""What is said about a scene before it runs: units, sides, overlap, loads."""
+"""Warnings about a scene before it runs: units, sides, overlap, loads."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FLANGED = [[0.0, 0.05], [0.03, 0.05], [0.04, 0.0], [0.12, 0.0]]
 
 
 def _collect_warnings(folder: Path, text: str) -> list[str]:
-    """What is warned of where a scene is loaded."""
+    """Warnings where a scene is loaded."""
     (folder / "scene.toml").write_text(text)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")

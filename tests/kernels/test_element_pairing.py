@@ -30,7 +30,7 @@ def test_every_element_is_in_one_pair_and_pairs_begin_with_their_common_edge(tri
     one, other = pairs[:, pairs[1] >= 0]
     np.testing.assert_array_equal(corners[one, :2], corners[other, :2])
     assert np.all(corners[one, 2] != corners[other, 2])
-    # What is not reversed is turned round only.
+    # An element that is not reversed is only rotated.
     for own, now, sign in zip(triangles, corners, turn, strict=True):
         order = [list(own).index(node) for node in now]
         assert sign == (1.0 if order in ([0, 1, 2], [1, 2, 0], [2, 0, 1]) else -1.0)

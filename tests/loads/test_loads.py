@@ -61,7 +61,7 @@ def test_a_sphere_filled_with_gas() -> None:
     result = jaxform.run(scene)
     radius = np.linalg.norm(np.asarray(result.positions), axis=1)
     assert int(result.status) == 0 and _retry(result) == 0
-    # What 512 flat triangles leave.
+    # The error of 512 flat triangles.
     assert np.sqrt(np.mean(np.square(radius / 1.5 - 1.0))) < 3e-3
     assert float(jaxform.summarize(result, scene)["energy"]["balance_error"]) < 1e-3
 

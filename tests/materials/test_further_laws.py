@@ -73,7 +73,7 @@ def test_ogdens_slopes_however_alike_stretches_are(power: float) -> None:
     found = jax.jit(law.slopes)(*strain)
     for own, right in zip(found, (by_trace, by_area), strict=True):
         assert np.max(np.abs(np.asarray(own) - right) / size) < 2e-11
-    # What comes with a derivative is the same as without.
+    # The values with a derivative are those without.
     np.testing.assert_allclose(jax.jvp(law.slopes, strain, strain)[0], found, rtol=1e-14)
 
 
@@ -201,7 +201,7 @@ def test_a_sphere_of_rubber() -> None:
     result = jaxform.run(scene)
     radius = np.linalg.norm(np.asarray(result.positions), axis=1)
     assert int(result.status) == 0
-    # What 512 flat triangles leave: a quarter of it with four times as many.
+    # The error of 512 flat triangles: a quarter of it with four times as many.
     assert np.sqrt(np.mean(np.square(radius / stretch - 1.0))) < 3e-3
     assert float(jaxform.summarize(result, scene)["energy"]["balance_error"]) < 1e-3
 

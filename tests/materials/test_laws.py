@@ -109,7 +109,7 @@ def test_a_sphere_of_a_users_law(law: jaxform.Law) -> None:
     result = jaxform.run(scene)
     radius = np.linalg.norm(np.asarray(result.positions), axis=1)
     assert int(result.status) == 0 and _retaken(result) == 0
-    # What 512 flat triangles leave: a quarter of it with four times as many.
+    # The error of 512 flat triangles: a quarter of it with four times as many.
     assert np.sqrt(np.mean(np.square(radius / stretch - 1.0))) < 3e-3
     assert float(jaxform.summarize(result, scene)["energy"]["balance_error"]) < 1e-3
 

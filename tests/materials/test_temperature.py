@@ -78,7 +78,7 @@ def test_an_even_temperature_is_another_law(viscous: Any, shift: Any) -> None:
 
 
 def test_the_warm_side_becomes_thin() -> None:
-    """Of a quarter that is warmer towards x, against its own mirror image."""
+    """A quarter that is warmer towards x, against its own mirror image."""
     slopes = []
     for temperature in (135.0, 130.0):
         scene = _cup(None, jaxform.ArrheniusStiffness, temperature)

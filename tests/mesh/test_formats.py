@@ -1,4 +1,4 @@
-"""What programs write into mesh files: each is read as what was written, or refused in words that say why."""
+"""Mesh files of programs: each is read as what was written, or refused in words that say why."""
 
 from __future__ import annotations
 

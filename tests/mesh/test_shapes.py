@@ -262,7 +262,7 @@ def test_parts_of_the_sphere_are_sub_meshes_of_the_whole():
     assert faces(quarter, everything) == faces(whole, lambda c: c[:, :, :2].min(axis=(1, 2)) >= 0)
 
 
-# What all built-in shapes share
+# Common properties of all built-in shapes
 
 MAKERS = {
     "disc": lambda **options: disc(**{"radius": 0.1, **options}),

@@ -1,4 +1,4 @@
-"""How parisons hang together: seams whose nodes do not match, parts, bow ties, parts that face opposite ways."""
+"""Connectivity of parisons: seams whose nodes do not match, parts, bow ties, parts that face opposite ways."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_hanging_nodes_of_a_curved_seam_lie_off_the_chords(coarse: int, fine: in
     on_seam = np.abs(mesh.positions[:, 0]) < 1e-12
     found = _connectivity(mesh)
     assert on_seam[found.loose].all()
-    # Of the seam's nodes, those that both sides share are joined; of the others hardly one is missed.
+    # Nodes of the seam that both sides share are joined; of the others hardly one is missed.
     shared = len(found.pinched)
     assert len(found.loose) >= 0.9 * (on_seam.sum() - shared)
 

@@ -135,7 +135,7 @@ def test_standing_still_on_a_slope_is_not_called_tolerance() -> None:
     steep = termination.check_convergence(study, _at_design(0.0111, 0.03), idle, first)
     assert flat is not None and flat.by == "tolerance"
     assert steep is not None and steep.by == "no-progress" and "100 % of the first one" in steep.words
-    # What presses on a bound promises nothing.
+    # A number that presses on a bound promises nothing.
     free, gradient = np.array([-2.0, -2.0, 2.0, 0.5]), np.array([1.0, -1.0, 1.0, 1.0])
     assert slope_within(free, gradient, np.full(4, 2.0)).tolist() == [0.0, -1.0, 1.0, 1.0]
 
@@ -173,7 +173,7 @@ def test_the_check_of_a_gradient_on_a_bound_stays_inside() -> None:
 
 
 def test_a_damped_step_within_bounds_is_the_least_of_the_model() -> None:
-    """Of a model of two numbers that are coupled: cut at the bound, the other one takes the best that is left."""
+    """A model of two numbers that are coupled: cut at the bound, the other one takes the best that is left."""
     matrix, gradient = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-3.0, -3.0])
     np.testing.assert_allclose(_step(matrix, gradient, 0.0, -np.ones(2) * 9, np.ones(2) * 9), [1.0, 1.0], rtol=1e-9)
     step = _step(matrix, gradient, 0.0, np.array([-9.0, -9.0]), np.array([0.2, 9.0]))

@@ -53,7 +53,7 @@ def test_a_wall_thicker_than_any_sheet_is_refused_before_any_simulation(
 def test_what_a_sheet_may_reach_is_not_refused() -> None:
     scene = scenes.cup()
     feasibility.check(_study(optimize.LeastMass(scene, 0.03)))
-    # What is not flat, or not held at its rim, may shrink: to half its area at most.
+    # A sheet that is not flat, or not held at its rim, may shrink: to half its area at most.
     ball = _ball()
     feasibility.check(_study(optimize.LeastMass(ball, 0.05), ball))
     with pytest.raises(jaxform.InputError, match=r"objective\.minimum"):

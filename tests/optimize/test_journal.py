@@ -29,7 +29,7 @@ def _write_journal(path: Path, count: int = 4) -> list[bytes]:
 
 
 def _count_known(path: Path, count: int = 4) -> int:
-    """How many answers a resumed journal knows; all of them are right."""
+    """Number of answers that a resumed journal knows; all of them are right."""
     journal = Journal(path, STUDY, resume=True)
     for number in range(count):
         answer = journal.ask("value", [float(number)], lambda number=number: {"value": 10.0 * number})[0]

@@ -152,7 +152,7 @@ def test_starts_on_two_processes_are_those_of_one(tmp_path: Path, capfd: pytest.
         assert history["objective"].min() == tables[-1]["objective"].min()
     # The tests compile with other settings than the processes that they start: all but the last bits are the same.
     np.testing.assert_allclose(tables[0]["objective"], tables[1]["objective"], rtol=1e-10)
-    # What is begun anew removes what could be taken for its own later.
+    # A study that is begun anew removes what could be taken for its own later.
     path.write_text(path.read_text().replace("starts = 3", "starts = 1"))
     assert command.main(["optimize", str(path), "--out", str(tmp_path / "1"), "--force"]) == 0
     assert not (tmp_path / "1" / "starts.csv").exists() and not list((tmp_path / "1").glob("search.*.jsonl"))

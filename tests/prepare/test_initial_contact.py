@@ -1,4 +1,4 @@
-"""How a run begins at the mold: flanges in the sheet's plane, and what is seen along lines of sight."""
+"""Begin of a run at the mold: flanges in the sheet's plane, and what is seen along lines of sight."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_ways_cross_a_closed_box_as_often_as_their_ends_say(turn: int) -> None:
     inside = np.all((ends > 0) & (ends < 1), axis=1)
     np.testing.assert_array_equal(count % 2 == 1, inside[0] != inside[1])
     assert count[:3].tolist() == [1, 1, 2] and count.max() == 2
-    # What is crossed last is told with the side from which the way comes.
+    # The triangle that is crossed last is told with the side from which the way comes.
     crossed = count > 0
     triangle, side = triangle[crossed], side[crossed]
     corners = vertices[triangles[triangle]]

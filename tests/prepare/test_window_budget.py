@@ -1,4 +1,4 @@
-"""How many windows are planned for: of laws that stiffen steeply no more than a few times what they take."""
+"""Planned numbers of windows: for laws that stiffen steeply no more than a few times what they take."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a part fills its mold: of sheets whose gaps and depths are known, and through the command."""
+"""Filling of the mold by the part: of sheets whose gaps and depths are known, and through the command."""
 
 from __future__ import annotations
 

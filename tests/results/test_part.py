@@ -126,7 +126,7 @@ def test_objectives_count_the_part_alone_and_a_scene_without_one_is_as_it_was(
 
     value, report = judge(optimize.Uniform())
     assert value == pytest.approx(spread, rel=1e-12)
-    # What a fixed point changes is the part's: elsewhere the sheet stays as it is.
+    # A fixed point changes the part alone: elsewhere the sheet stays as it is.
     nodes = np.unique(np.asarray(result.triangles)[mine])
     others = np.setdiff1d(np.arange(len(report["ratio"])), nodes)
     assert len(others) and np.all(np.asarray(report["ratio"])[others] == 1.0)

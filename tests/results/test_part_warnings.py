@@ -1,4 +1,4 @@
-"""What is said about a part after the run: a mold untouched, a sheet gone, walls beyond sense, the minimum."""
+"""Warnings about a part after the run: a mold untouched, a sheet gone, walls beyond sense, the minimum."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_mold_that_nothing_touched() -> None:
     nothing = warnings_of_part(_part(scene, 0.2), scene)
     assert len(nothing) == 1 and "nothing touched the mold" in nothing[0]
     clamped, pole = np.asarray(scene.parison.clamped), scenes.pole(scene)
-    # What lay on the mold's flange at the start stuck in the first step, and did not move.
+    # Nodes that lay on the mold's flange at the start stuck in the first step, and did not move.
     flange = np.hypot(start[:, 0], start[:, 1]) > 0.7
     lying = np.where(clamped, 0.0, np.where(flange, 1e-3, -1.0))
     low = start.copy()
@@ -95,7 +95,7 @@ def test_a_sheet_that_passes_through_itself_and_bursts() -> None:
     stretches[3] = [20.0, 10.0]
     assert has_burst(dataclasses.replace(part, stretches=stretches), scene)
     assert not has_burst(dataclasses.replace(plain, stretches=stretches), scene)
-    # What sticks wholly stays where it is.
+    # An element that sticks wholly stays where it is.
     stuck = dataclasses.replace(part, stretches=stretches, stuck=np.ones(len(start), bool))
     assert not has_burst(stuck, scene)
 
@@ -138,7 +138,7 @@ def test_the_thinnest_place_is_told_in_the_part_and_in_the_sheet() -> None:
     walls = np.full(len(scene.parison.triangles), 0.01)
     walls[7] = 0.004
     part = _part(scene, 0.5, element_thickness=walls)
-    # Of what is not used the thickness is 0.
+    # The thickness of unused elements is 0.
     walls[9], part.used[9] = 0.0, False
     found, nodes = thinnest_element(part, scene), np.asarray(scene.parison.triangles)[7]
     assert found["thickness"] == 0.004

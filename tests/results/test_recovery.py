@@ -18,7 +18,7 @@ pytestmark = pytest.mark.quick
 
 
 def _at_nodes(sheet: jaxform.shapes.Sheet) -> Callable[[jax.Array], jax.Array]:
-    """What gives a sheet's values at the nodes from those of its elements."""
+    """The function that gives a sheet's values at the nodes from those of its elements."""
     parison = jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed)
     scene = jaxform.build_scene(
         parison=parison,

@@ -74,7 +74,7 @@ def test_scatter_elsewhere_is_that_of_the_elements_at_the_place() -> None:
     assert found["scatter_of"] == "patch"
     there = part.element_thickness[(part.triangles == node).any(1)]
     assert found["scatter"] == pytest.approx(there.std() / there.mean(), rel=0.1)
-    # What does not count is not looked at.
+    # Elements that do not count are ignored.
     part.used = ~(part.triangles == node).any(1)
     assert thinnest_recovered(part, scene)["recovered"] > found["recovered"]
 

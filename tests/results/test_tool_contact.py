@@ -47,7 +47,7 @@ def _scene(*tools: jaxform.Mold, elements: int = 150) -> jaxform.Scene:
 
 
 def test_a_flat_plug_to_which_the_sheet_sticks() -> None:
-    """What the plug lifts it does not stretch, from the moment at which it comes to the sheet."""
+    """The plug does not stretch what it lifts, from the moment at which it comes to the sheet."""
     plug = _tool(molds.revolved(profile=[[0.0, 0.0], [0.45, 0.0], [0.45, -1.5]], segments=96), "plug", None, _WAY, _GAP)
     far = _tool(molds.plate(radius=0.5), "far", None, 0.0, 3.0)
     scene = _scene(plug, far)
@@ -73,7 +73,7 @@ def test_a_flat_plug_to_which_the_sheet_sticks() -> None:
 
 
 def _depth_in_ball(corners: np.ndarray, center: np.ndarray, radius: float) -> float:
-    """How deep triangles (n, 3, 3) cut a ball, by points all over them."""
+    """Depth to which triangles (n, 3, 3) cut a ball, by points all over them."""
     count = 24
     i, j = np.mgrid[: count + 1, : count + 1]
     kept = i + j <= count

@@ -1,4 +1,4 @@
-"""What every feature keeps: run, simulation and replay are one, energy balances, gradients equal central differences.
+"""Contract of every feature: run, simulation and replay are one, energy balances, gradients equal central differences.
 
 A few scenes that have all features between them. Of each, the programs of `run` and one more, which gives the part,
 a figure of everything in it, and the figure's gradient.
@@ -199,7 +199,7 @@ def _assert_same_part(found: jaxform.Result, expected: jaxform.Result) -> None:
         if other is not None:
             assert one.shape == other.shape
             close(one, other, atol=1e-12 * np.abs(other).max(), err_msg=name)
-    # Of a sheet that has come to rest no more than rounding is left of them.
+    # No more than rounding is left of them once the sheet rests.
     speed = float(np.abs(expected.positions).max() / expected.time)
     close(found.velocities, expected.velocities, atol=1e-12 * speed)
     for name in ("energy", "fields", "loading", "mass"):
@@ -208,7 +208,7 @@ def _assert_same_part(found: jaxform.Result, expected: jaxform.Result) -> None:
 
 
 def test_every_feature_is_in_use(case: Case) -> None:
-    """What is asked of the others is asked of contact, refinement, cooling, wrinkles and what a user adds."""
+    """The scenes use contact, refinement, cooling, wrinkles and what a user adds, so the other tests ask of these."""
     scene, ran = case.scene, case.ran
     assert np.sum(np.asarray(ran.contact_time) > 0) > 2
     assert scene.refinement is None or int(ran.used.sum()) > len(scene.parison.triangles)
@@ -231,7 +231,7 @@ def test_a_replay_is_the_run(case: Case) -> None:
 
 @pytest.mark.parametrize("case", [name for name in MAKE if name not in ("refined", "cooled")], indirect=True)
 def test_a_simulation_is_the_run(case: Case) -> None:
-    """Where the mesh is refined: tests/adapt/test_refinement.py."""
+    """The same for refined meshes is in tests/adapt/test_refinement.py."""
     (_, result), _ = case.simulate(replayed=False)
     _assert_same_part(case.room.result(result), case.ran)
 
@@ -262,5 +262,5 @@ def test_beyond_the_scene_itself_there_is_no_slope(case: Case) -> None:
 
 @pytest.mark.parametrize("case", ["plain"], indirect=True)
 def test_the_same_without_room(case: Case) -> None:
-    """Where the mesh is refined: tests/adapt/test_refinement.py."""
+    """The same for refined meshes is in tests/adapt/test_refinement.py."""
     _assert_same_part(case.ran, jax.jit(jaxform.simulate)(case.scene))

@@ -48,7 +48,7 @@ def refined_scene(elements: int) -> jaxform.Scene:
 
 @pytest.fixture
 def compilations() -> Iterator[Callable[[], int]]:
-    """How many programs were compiled, or loaded compiled, so far."""
+    """Number of programs that were compiled, or loaded compiled, so far."""
     count = [0]
 
     def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:

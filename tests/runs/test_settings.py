@@ -85,7 +85,7 @@ def test_parts_that_were_made_in_another_precision_make_a_scene_of_the_present_o
     zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), schedule)
     made = jax.eval_shape(lambda scene: jaxform.simulate(scene, schedule=zeros), scene)
     assert made.thickness.dtype == jnp.float64
-    # What is of the present precision stays the same object: what was made of it is found again.
+    # An object of the present precision stays the same: what was made of it is found again.
     assert same.mold is new["mold"]
 
 

@@ -234,7 +234,7 @@ def _trace(scene: jaxform.Scene) -> set[str]:
 
 
 def _programs() -> list[set[str]]:
-    """What `_trace` finds for a sheet alone, one over a mold, and one under a history of pressure."""
+    """The results of `_trace` for a sheet alone, one over a mold, and one under a history of pressure."""
     law, history = scenes.mooney(0.1), jaxform.make_pressure([0.0], [1.0])
     return [_trace(scene) for scene in (scenes.free_disc(60, 2.0, law), scenes.cup(), scenes.loaded_scene(history))]
 

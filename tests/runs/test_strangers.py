@@ -1,4 +1,4 @@
-"""What the benchmarks take for a stranger's molds, files and scenes is what they say it is. No step is run."""
+"""The strangers' molds, files and scenes of the benchmarks are what they say. No step is run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pictures of a sweep show: variables that vary among what was computed, and failures."""
+"""Contents of the pictures of a sweep: variables that vary among what was computed, and failures."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from tests import scenes
 
 
 def describe(scene: jaxform.Scene) -> dict[str, float]:
-    """What was built of a scene, without a simulation; zero damping fails."""
+    """Facts of a built scene, without a simulation; zero damping fails."""
     if scene.solver.damping is not None and float(scene.solver.damping) == 50.0:
         raise ZeroDivisionError("as asked for")
     depth = float(np.asarray(scene.mold.vertices)[:, 2].max()) if scene.mold is not None else 0.0

@@ -1,4 +1,4 @@
-"""Where a sheet passes through itself, against every pair of elements."""
+"""Places where a sheet passes through itself, against every pair of elements."""
 
 from __future__ import annotations
 

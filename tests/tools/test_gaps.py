@@ -1,4 +1,4 @@
-"""How far a sheet is from the mold before it, on parts whose gaps are known."""
+"""Distance of a sheet from the mold before it, on parts whose gaps are known."""
 
 from __future__ import annotations
 

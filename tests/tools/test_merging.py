@@ -33,7 +33,7 @@ _SHAPES = {
 
 
 def _farthest(one: tuple[Array, NDArray[np.integer]], other: tuple[Array, NDArray[np.integer]]) -> float:
-    """How far places all over a surface, and its corners, are from another."""
+    """Largest distance of places all over a surface, and of its corners, from another."""
     corners = one[0][one[1]]
     random = np.random.default_rng(0)
     weight = random.dirichlet(np.ones(3), 1000)
@@ -110,7 +110,7 @@ def _scene(folder: Path, name: str, shape: MoldShape) -> jaxform.Scene:
 def test_a_sheet_over_a_fan_of_slivers_is_as_over_the_same_cone_well_meshed(tmp_path: Path) -> None:
     fan = _scene(tmp_path, "fan", revolved(profile=_CONE, segments=100_000))
     assert fan.mold is not None and len(fan.mold.triangles) < 2500
-    # Of rings, each as high as its triangles are wide.
+    # A surface of rings, each as high as its triangles are wide.
     along = np.linspace(0.0, 1.0, 41)[:, None]
     rings = (1 - along) * _CONE[0] + along * _CONE[1]
     fine = _scene(tmp_path, "fine", revolved(profile=rings, segments=400))

@@ -1,4 +1,4 @@
-"""How far a sheet is beyond the mold: against winding numbers on closed molds, and where sides are not plain."""
+"""Depth of a sheet beyond the mold: against winding numbers on closed molds, and where sides are not plain."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_a_free_dome_over_a_flange_in_the_sheet_s_plane_is_not_beyond_the_mold(o
 
 @pytest.mark.parametrize(("stretches", "segments"), [(1, 48), (24, 200)])
 def test_elements_are_compared_with_few_triangles_however_many_there_are(stretches: int, segments: int) -> None:
-    """Of a sheet that lies on a cone of 96 or 9600 triangles, nine times as many elements at a time."""
+    """A sheet lies on a cone of 96 or 9600 triangles, nine times as many elements at a time."""
     rings = np.linspace(0.02, 0.1, stretches + 1)
     shape = molds.revolved(profile=np.stack([rings, 0.12 - rings], axis=1), segments=segments)
     corners, grid = shape.vertices[shape.triangles], build_grid(shape.vertices, shape.triangles)

@@ -37,7 +37,7 @@ def _sheet(divisions: int = 8) -> tuple[Array, Integers]:
 
 
 def _penetration(*blocks: Array, lying: bool = True, turn: bool = False) -> Penetration:
-    """Of a sheet that lies on the floor, from above, of which blocks stand up."""
+    """Penetration of a sheet that lies, from above, on a floor of which blocks stand up."""
     walls = np.concatenate([_FLOOR[[[0, 1, 2], [0, 2, 3]]], *blocks])
     if turn:
         walls[1::2] = walls[1::2, ::-1]
@@ -72,7 +72,7 @@ def test_a_pin_within_an_element_is_found_by_the_edges_that_come_through() -> No
 
 
 def _rises_between(away: Array, *, noise: float = 0.0) -> Ribs:
-    """What a sheet on the floor passed through, whose nodes have directions off the mold (3,): a rib, or noise on it.
+    """Ribs, or noise, that a sheet on the floor passed through, whose nodes have directions off the mold (3,).
 
     The rib is 0.05 wide and 0.3 high.
     """
@@ -93,7 +93,7 @@ def _rises_between(away: Array, *, noise: float = 0.0) -> Ribs:
 
 @pytest.mark.parametrize("along", [0.0, 0.6, 2.0])
 def test_a_rib_is_measured_square_to_the_sheet_where_nodes_look_along_it(along: float) -> None:
-    """Of nodes beside the end of a rib some stick to it, and the way off the mold leads along the rib."""
+    """Some nodes beside the end of a rib stick to it, and the way off the mold leads along the rib."""
     found = _rises_between(np.array([0.3, along, 1.0]))
     assert 12 <= found.count <= 17
     np.testing.assert_allclose(found.height, 0.3, rtol=1e-3)
@@ -108,7 +108,7 @@ def test_a_rib_that_leans_is_as_high_as_its_top_is_above_the_sheet() -> None:
 
 
 def _beside(block: Array, pull: Array | None) -> Ribs:
-    """What a sheet that stands on a wall, x = 0, passed through where a block comes out of that."""
+    """Ribs that a sheet on a wall, x = 0, passed through where a block comes out of that."""
     wall = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 2.0], [0.0, -1.0, 2.0]])[[[0, 1, 2], [0, 2, 3]]]
     walls = np.concatenate([wall, block])
     mold = jaxform.make_mold(walls.reshape(-1, 3), np.arange(3 * len(walls)).reshape(-1, 3))

@@ -73,7 +73,7 @@ def test_what_is_left_out_is_never_the_deepest_nor_the_widest(
 def test_elements_as_large_as_the_mold_are_cut_small_only_near_it(
     make: Callable[[], Mold], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of thrown-about elements all pairs that cut each other are found, and few of their pieces are looked at."""
+    """All pairs of scattered elements that cut each other are found, and few of their pieces are looked at."""
     counts: list[int] = []
     cut_small = crossings.short_pieces
 

@@ -23,7 +23,7 @@ def _sheet() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _find_ribs(*bodies: trimesh.Trimesh, side: float = SIDE) -> Ribs | None:
-    """What is found of bodies that stand on a floor of 120 mm, 30 mm below the sheet."""
+    """Ribs that are found among bodies that stand on a floor of 120 mm, 30 mm below the sheet."""
     floor = trimesh.creation.box(extents=(0.12, 0.12, 0.01))
     floor.apply_translation((0.0, 0.0, -0.005))
     sheet, rim = _sheet()
