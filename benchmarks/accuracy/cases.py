@@ -24,7 +24,7 @@ from benchmarks.accuracy import membranes
 from jaxform import molds
 from jaxform.model.scene import Scene
 from jaxform.results import sections
-from jaxform.results.recovery import thinnest_recovered
+from jaxform.results.recovery import one_sided_thickness, thinnest_recovered
 from jaxform.results.result import Result
 from jaxform.results.tool_contact import formed_areas
 from optimize import solvers
@@ -333,8 +333,10 @@ def cup_errors(scene: Scene, name: str) -> Measured:
     off, weight = nodal_ratio(scene, result) / exact_ratio(sections.initial_radius(scene), wall) - 1, nodal_area(scene)
     rim = np.asarray(scene.parison.clamped)
     ratio, places, area = element_ratios(scene, result)
+    one_sided = np.asarray(one_sided_thickness(result, scene) / result.thickness)
     errors = {
         "nodal thickness": rms(off, weight),
+        "nodal thickness, one-sided": rms((off + 1) * one_sided - 1, weight),
         "nodal thickness, rim": rms(off[rim], weight[rim]),
         "element thickness": rms(ratio / exact_ratio(places, wall) - 1, area),
         "thinnest wall": thinnest_recovered(result, scene)["recovered"] / THICKNESS / wall["thickness_ratio"].min() - 1,

@@ -137,6 +137,16 @@ def sharp_edges(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) 
     return found[:, cosine < np.cos(np.radians(SHARPEST_FACETS))].astype(np.int32)
 
 
+def smooth_parts(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> NDArray[np.int32]:
+    """The number of the part between `sharp_edges` that each triangle belongs to (n_triangle,), from 0."""
+    side, base = np.sort(_sides(triangles), axis=1), int(np.max(triangles, initial=0)) + 1
+    key, sharp = side @ [base, 1], np.sort(sharp_edges(vertices, triangles)[:2].T.astype(np.int64), axis=1) @ [base, 1]
+    order = np.argsort(key, kind="stable")
+    order = order[~np.isin(key[order], sharp)]
+    joined = key[order[1:]] == key[order[:-1]]
+    return connected_parts(order[1:][joined] // 3, order[:-1][joined] // 3, len(triangles))
+
+
 def edge_paths(edges: NDArray[np.integer], stops: NDArray[np.integer] | None = None) -> list[list[int]]:
     """Paths (k,) through the vertices of edges (n, 2): each edge is part of one.
 

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.mesh import topology
 from jaxform.model.scene import Scene
 from jaxform.model.tables import ReferenceGeometry
 from jaxform.results import sections
@@ -45,7 +46,7 @@ def nodal_ratio(ratio: jax.Array, sheet: ReferenceGeometry, positions: jax.Array
         mobile: Along which axes (3, n_node) each node can move: along none where it is clamped, and not along the
             normal of a symmetry plane.
     """
-    mean, variance, fit, slope = _fits(ratio, sheet, positions, mobile)
+    mean, variance, fit, slope = _fits(ratio, sheet.triangles, sheet.area, positions, mobile)
     free = jnp.any(mobile, axis=0)
     # Sums over the corners of the elements of each node, by initial area: of those that are free, and of the others.
     foot = fit - jnp.sum(slope * positions, axis=0)
@@ -68,23 +69,23 @@ def _sums_at_nodes(shares: jax.Array, triangles: jax.Array, count: int) -> jax.A
 
 
 def _fits(
-    values: jax.Array, sheet: ReferenceGeometry, positions: jax.Array, mobile: jax.Array
+    values: jax.Array, triangles: jax.Array, area: jax.Array, positions: jax.Array, mobile: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Mean and variance of each node's elements, and value and gradient (3, n_node) of the best linear function.
 
     Whole arrays at once: a result is made once a run, and is a tenth of what is compiled.
     """
-    corners = positions[:, sheet.triangles]
+    corners = positions[:, triangles]
     away = jnp.mean(corners, axis=1, keepdims=True) - corners  # of an element's middle, from each of its corners
     one, value = jnp.ones_like(away[:1]), jnp.broadcast_to(values, (1, *away.shape[1:]))
     squares, mixed = away * away, away * jnp.roll(away, -1, axis=0)
-    shares = sheet.area[None, None] * jnp.concatenate([one, value, away, value * away, squares, mixed])
-    sums = _sums_at_nodes(shares, sheet.triangles, mobile.shape[1])
-    area = jnp.where(sums[0] > 0.0, sums[0], 1.0)
-    means = sums / area[None]
+    shares = area[None, None] * jnp.concatenate([one, value, away, value * away, squares, mixed])
+    sums = _sums_at_nodes(shares, triangles, mobile.shape[1])
+    around = jnp.where(sums[0] > 0.0, sums[0], 1.0)
+    means = sums / around[None]
     mean, first, rise, second = means[1], means[2:5], means[5:8], means[8:][_MOMENTS]
-    off = sheet.area[None] * jnp.square(value[0] - mean[sheet.triangles])
-    variance = _sums_at_nodes(off[None], sheet.triangles, mobile.shape[1])[0] / area
+    off = area[None] * jnp.square(value[0] - mean[triangles])
+    variance = _sums_at_nodes(off[None], triangles, mobile.shape[1])[0] / around
     # The images behind a symmetry plane: what is odd in the distance from it cancels.
     first = jnp.where(mobile, first, 0.0)
     size = jnp.sum(means[8:11], axis=0)
@@ -102,6 +103,83 @@ def _solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
     columns = jnp.roll(one, -1, axis=1) * jnp.roll(other, -2, axis=1)
     columns -= jnp.roll(one, -2, axis=1) * jnp.roll(other, -1, axis=1)
     return jnp.sum(columns * right[:, None], axis=0) / jnp.sum(matrix[0] * columns[0], axis=0)[None]
+
+
+# The wall where it has kinks: at the end of contact, and at sharp edges of tools. The elements round a node are on both
+# sides of it there. Beside the node's linear function those of its neighbours are carried to it, which are of one side,
+# and count the more the better they fit their elements; each no further than the elements round the node differ.
+#
+# (Hu, Shu: Weighted essentially non-oscillatory schemes on triangular meshes, J. Comput. Phys. 150 (1999) 97-127.)
+
+_NOISE = 1e-2  # of the wall, by which elements differ from any linear function, since their nodes land one by one
+
+
+def one_sided_thickness(result: Result, scene: Scene) -> jax.Array:
+    """The recovered wall at the nodes (n_node,) [m], which may have kinks where contact ends and at sharp edges.
+
+    It is `result.thickness` but at the nodes of elements whose nodes touch different smooth parts of tools, or of which
+    only some touch one. Where no tool has sharp edges it is `result.thickness`. Differentiable.
+
+    Args:
+        result: The part.
+        scene: Its scene; the vertices of its tools have values.
+    """
+    contact = _touched_parts(result, scene)
+    if contact is None:
+        return result.thickness
+    adaptivity = scene.adaptivity
+    mobile = (scene.tables.mobility if adaptivity is None else adaptivity[1].mobility) > 0.0
+    positions, triangles = scene.parison.positions.T, result.triangles.T
+    one, other, last = (positions[:, corner] for corner in triangles)
+    area = 0.5 * jnp.linalg.norm(jnp.cross(other - one, last - one, axis=0), axis=0)
+    area = jnp.where(result.used, area, 0.0)
+    ratio = jnp.where(result.used, result.element_thickness * area, 1.0)
+    ratio /= jnp.where(result.used, result.element_volume, 1.0)
+    at_kink = jnp.any(contact[triangles] != contact[triangles[:1]], axis=0) & result.used
+    near = jnp.zeros(contact.size, bool).at[triangles].max(at_kink[None]) & jnp.any(mobile, axis=0)
+    value = _one_sided_ratio(ratio, triangles, area, positions, mobile) * scene.parison.thickness
+    return jnp.where(near, value, result.thickness)
+
+
+def _touched_parts(result: Result, scene: Scene) -> jax.Array | None:
+    """The smooth part of a tool that each node touches (n_node,), from 1, 0 for none; None without sharp edges."""
+    shapes = [(np.asarray(one.mold.vertices, float), np.asarray(one.mold.triangles)) for one in scene.surfaces]
+    if not any(topology.sharp_edges(*shape).size for shape in shapes):
+        return None
+    touched, first = jnp.zeros(result.wall.shape, jnp.int32), 1
+    for number, shape in enumerate(shapes):
+        parts = topology.smooth_parts(*shape)
+        triangle = result.wall if scene.mold is not None and number == 0 else result.tool_wall
+        assert triangle is not None
+        part = first + jnp.asarray(parts)[jnp.maximum(jnp.abs(triangle.astype(jnp.int32)) - 1, 0)]
+        touched = jnp.where((result.tool == number) & (triangle != 0), part, touched)
+        first += int(parts.max()) + 1
+    return touched
+
+
+def _one_sided_ratio(
+    ratio: jax.Array, triangles: jax.Array, area: jax.Array, positions: jax.Array, mobile: jax.Array
+) -> jax.Array:
+    """Elements' h/h0 at the nodes (n_node,): a mean of the linear functions of a node and its neighbours there."""
+    count = mobile.shape[1]
+    mean, _, fit, slope = _fits(ratio, triangles, area, positions, mobile)
+    corners = positions[:, triangles]
+    middle = jnp.mean(corners, axis=1, keepdims=True)
+    missed = ratio - (fit[triangles] + jnp.sum(slope[:, triangles] * (middle - corners), axis=0))
+    around, off = _sums_at_nodes(area * jnp.stack([jnp.ones_like(missed), jnp.square(missed)]), triangles, count)
+    off = off / jnp.where(around > 0.0, around, 1.0) + jnp.square(_NOISE * mean) + jnp.finfo(ratio.dtype).tiny
+    # The function of a node without freedom is none: its elements lie on one side.
+    trust = jnp.where(jnp.any(mobile, axis=0), around / off, 0.0)
+    low = jnp.full(count, jnp.inf, ratio.dtype).at[triangles].min(ratio[None])
+    high = jnp.full(count, -jnp.inf, ratio.dtype).at[triangles].max(ratio[None])
+    total = jnp.zeros((2, count), ratio.dtype)
+    for turn in range(3):
+        source = jnp.roll(triangles, turn, axis=0)
+        way = corners - positions[:, source]
+        there = fit[source] + jnp.sum(slope[:, source] * way, axis=0)
+        there = jnp.clip(there, low[triangles], high[triangles])
+        total += _sums_at_nodes(trust[source] * jnp.stack([jnp.ones_like(there), there]), triangles, count)
+    return total[1] / jnp.where(total[0] > 0.0, total[0], 1.0)
 
 
 # The thinnest recovered wall of a part, and how much the wall scatters around it: found after the run, on the host.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,8 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform.results.recovery import nodal_ratio
+from benchmarks.accuracy import cases
+from jaxform.results.recovery import nodal_ratio, one_sided_thickness
 from tests import scenes
 
 pytestmark = pytest.mark.quick
@@ -88,3 +91,71 @@ def test_one_process_may_use_both_precisions() -> None:
             walls.append(np.asarray(wall, float))
     np.testing.assert_array_equal(walls[0], walls[2])
     np.testing.assert_allclose(walls[0], walls[1], rtol=1e-5)
+
+
+def _cup_part(mold: Any) -> tuple[Any, jaxform.Scene, np.ndarray]:
+    """A part whose elements have the exact wall of a cup on average, and which touches two faces; and that wall."""
+    table = cases.exact_table("cup-at-40")
+    sheet = jaxform.shapes.disc(radius=1.0, elements=610, symmetry="quarter")
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
+        solver=jaxform.make_solver(end_time=1.0),
+        mold=jaxform.make_mold(mold.vertices, mold.triangles),
+    )
+    positions, triangles = np.asarray(sheet.positions), np.asarray(sheet.triangles)
+
+    def ratio(places: np.ndarray) -> np.ndarray:
+        return cases.exact_ratio(np.hypot(places[..., 0], places[..., 1]), table)
+
+    weight = np.random.default_rng(4).dirichlet(np.ones(3), 400)
+    of_elements = 1.0 / np.mean(1.0 / ratio(np.einsum("qk,eki->eqi", weight, positions[triangles])), axis=1)
+    height = np.asarray(mold.vertices)[np.asarray(mold.triangles)][..., 2].mean(1)
+    radius = np.hypot(*positions[:, :2].T)
+    corner = float(table["initial_radius"][np.argmin(table["thickness_ratio"])])
+    touched = np.where(radius < corner, np.argmax(height), np.argmin(height)) + 1
+    mobile = scene.tables.mobility > 0.0
+    nodal = nodal_ratio(jnp.asarray(of_elements), scene.tables.sheet, scene.parison.positions.T, mobile)
+    part = SimpleNamespace(
+        triangles=jnp.asarray(triangles),
+        used=jnp.ones(len(triangles), bool),
+        thickness=0.01 * nodal,
+        element_thickness=jnp.asarray(0.01 * of_elements),
+        element_volume=0.01 * scene.tables.sheet.area,
+        wall=jnp.asarray(touched, jnp.int32),
+        tool=jnp.asarray(np.where(touched > 0, 0, -1)),
+        tool_wall=None,
+    )
+    return part, scene, 0.01 * ratio(positions)
+
+
+def test_a_wall_with_a_cusp_is_found_from_either_side() -> None:
+    """The elements round a node at the cusp are thicker than it on both sides: a function through them all is, too."""
+    cup = jaxform.molds.revolved(profile=[[0.0, 0.5], [0.5, 0.5], [1.0, 0.0]], segments=48)
+    part, scene, exact = _cup_part(cup)
+    found, before = np.asarray(one_sided_thickness(part, scene)), np.asarray(part.thickness)
+    area = cases.nodal_area(scene)
+    assert cases.rms(found / exact - 1.0, area) < 0.6 * cases.rms(before / exact - 1.0, area)
+    assert (found == before).mean() > 0.7  # elsewhere it is that
+    _check_slope(part, scene)
+
+
+def _check_slope(part: Any, scene: jaxform.Scene) -> None:
+    """Compares the derivative by the elements' thickness with differences, where no two of them are alike."""
+
+    def total(thickness: jax.Array) -> jax.Array:
+        other: Any = SimpleNamespace(**vars(part) | {"element_thickness": thickness})
+        return jnp.sum(one_sided_thickness(other, scene))
+
+    uneven, way = np.random.default_rng(2).uniform(-1.0, 1.0, (2, part.element_thickness.size))
+    start = part.element_thickness * (1.0 + 1e-2 * uneven)
+    way = start * way
+    slope = float(jax.grad(total)(start) @ way)
+    assert (total(start + 1e-6 * way) - total(start - 1e-6 * way)) / 2e-6 == pytest.approx(slope, rel=1e-5)
+
+
+def test_without_sharp_edges_the_wall_is_as_it_was() -> None:
+    bowl = jaxform.molds.revolved(profile=[[np.sin(a), np.cos(a)] for a in np.linspace(0.0, np.pi / 2, 9)], segments=48)
+    part, scene, _ = _cup_part(bowl)
+    assert one_sided_thickness(part, scene) is part.thickness
