@@ -62,12 +62,15 @@ class ReverseStart(NamedTuple):
         speeds: Stored velocities before each step and after the last (3, (1 + steps) place) [m/s], one step's after
             another's; None without damping, whose steps are always inverted.
         keeps: True where these are used, because the steps cannot be inverted.
+        curved: Where nodes land on curved paths, their `ContactStep.curve` and position after the landing's step
+            (6, place) [m]; None otherwise.
     """
 
     before: jax.Array
     velocities: jax.Array
     speeds: jax.Array | None = None
     keeps: jax.Array | bool = False
+    curved: jax.Array | None = None
 
     def velocities_before(self, number: jax.Array) -> ArraySlice | None:
         """Stored velocities before a step; where they are not used, always the same part of the array: that is fast."""
@@ -88,6 +91,8 @@ class BackwardNodes(NamedTuple):
         force: Cotangents of the force in the step (3, place).
         mass, compliance, contact_time: Cotangents of mass, logarithm of compliance, and contact time (place,).
         damping, gravity, vertices: Cotangents of damping, gravity (3,), and the mold's vertices (n_vertex, 3).
+        point: Cotangents of the landing points to which nodes returned in the step after their landing (3, place);
+            None where nodes do not land on curved paths.
     """
 
     at: jax.Array
@@ -101,6 +106,7 @@ class BackwardNodes(NamedTuple):
     damping: jax.Array
     gravity: jax.Array | None
     vertices: jax.Array | None
+    point: jax.Array | None = None
 
 
 AdjointStep = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
@@ -300,16 +306,53 @@ def add_rim_cotangents(nodes: BackwardNodes, cotangents: jax.Array, places: jax.
 # The reverse step of nodes that landed on the mold.
 
 
+_CurvedPath = tuple[jax.Array, jax.Array | None]
+"""Change of a node's velocity by the force in its landing's step (3, 1) [m/s], and the solver's damping [1/s]."""
+
+
+def _curve_of_gain(
+    gain: jax.Array, damping: jax.Array | None, velocity: jax.Array, velocity_step: jax.Array, length: jax.Array
+) -> jax.Array:
+    """`ContactStep.curve` (3, 1) [m], from the velocity's gain by the force and the velocity after the step [m/s]."""
+    half = _half_damping(velocity_step, damping)
+    return length * (gain - 2.0 * half * velocity) / (1.0 - half)
+
+
+def _gain_of_curve(
+    curve: jax.Array, damping: jax.Array | None, velocity: jax.Array, velocity_step: jax.Array, length: jax.Array
+) -> jax.Array:
+    """The inverse of `_curve_of_gain`."""
+    half = _half_damping(velocity_step, damping)
+    return (1.0 - half) * curve / length + 2.0 * half * velocity
+
+
+def displace_landed_nodes(
+    nodes: BackwardNodes, step: AdjointStep, now: ReverseWindow, end: ReverseStart
+) -> BackwardNodes:
+    """Places nodes that return to their landing points in a step where they are at its begin, on a curved path."""
+    assert end.curved is not None
+    return nodes._replace(at=jnp.where(now.landing_step == step[0] - 1, end.curved[3:], nodes.at))
+
+
+def split_point_cotangents(nodes: BackwardNodes, step: AdjointStep, now: ReverseWindow) -> BackwardNodes:
+    """Keeps the cotangents of the landing points to which nodes return in a step.
+
+    Their positions before belong to the landing's step, too; the cotangents of both are summed in `positions`.
+    """
+    assert nodes.point is not None
+    return nodes._replace(point=jnp.where(now.landing_step == step[0] - 1, nodes.positions, nodes.point))
+
+
 def pull_back_landings(
     nodes: BackwardNodes,
-    before: jax.Array,
+    end: ReverseStart,
     step: AdjointStep,
     at: tuple[jax.Array, jax.Array],
     mold: Mold,
     now: ReverseWindow,
     loss: jax.Array,
 ) -> BackwardNodes:
-    """Reverses the landings of a step, node by node, back to the positions `before` (3, place) [m].
+    """Reverses the landings of a step, node by node, back to the positions before it.
 
     `at` has the contact triangles at the window's end (place,), as `wall` in `Nodes`, and the window's begin [s].
     """
@@ -328,37 +371,63 @@ def pull_back_landings(
         def write_node(values: jax.Array, new: jax.Array) -> jax.Array:
             return blocks.put(values, new, place)
 
-        def land(after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array) -> Any:
+        def land(
+            after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array, curved: _CurvedPath | None
+        ) -> Any:
             free, none = jnp.zeros(1, bool), jnp.zeros(1, jnp.int32)
             flying = sticking.Landing(
                 Nodes(after, velocity, free, jnp.zeros_like(mass), none, None, {}), none, jnp.zeros_like(time)
             )
             triangle = ContactSurface(Mold(corners, jnp.arange(3, dtype=jnp.int32)[None]), grid)
             landing = sticking.ContactStep(length, time, number)
+            if curved is not None:
+                landing = landing._replace(
+                    curve=_curve_of_gain(*curved, velocity, velocity_step, length), damping=curved[1]
+                )
             there = sticking.place_on_surfaces(flying, landing, (mass, None), (triangle,), none, differentiable=True)
-            return there.nodes.positions, there.nodes.contact_time, there.loss
+            ends, back = [there.nodes.positions], _half_damping(length, landing.damping)
+            if curved is not None:
+                # In the next step it returns to its landing point.
+                ends += [ends[0] + (1.0 - back) / (1.0 + back) * length * there.nodes.velocities]
+            return ends, there.nodes.contact_time, there.loss
 
         # All is read before anything is written (docs/explanation/kernels.md).
         old = materialize(jax.tree.map(read_node, nodes._replace(damping=None, gravity=None, vertices=None)))
-        begin = read_node(before)
+        begin, curved = read_node(end.before), None
+        if end.curved is not None:
+            curve, damping = read_node(end.curved)[:3], now.scene.solver.damping
+            curved = _gain_of_curve(curve, damping, old.speeds, velocity_step, length), damping
         triangle = mold.triangles[jnp.abs(read_node(wall)[0]) - 1]
         after = begin + length * old.speeds
-        _, pull = jax.vjp(land, after, old.speeds, read_node(now.mass), mold.vertices[triangle])
-        position, velocity, mass, corners = pull((old.positions, old.contact_time, loss))
+        _, pull = jax.vjp(land, after, old.speeds, read_node(now.mass), mold.vertices[triangle], curved)
+        ends = [old.positions]
+        if old.point is not None:
+            # A window's last step ends at the landing point itself.
+            point = jnp.where(number == now.count - 1, old.positions, old.point)
+            ends = [old.positions - point, point]
+        position, velocity, mass, corners, pulled = pull((ends, old.contact_time, loss))
         velocity = velocity + length * position
-        force = force_cotangent(unstack_rows(velocity), unstack_rows(read_node(now.compliance)), velocity_step, now)
+        compliance = read_node(now.compliance)
+        force = jnp.stack(force_cotangent(unstack_rows(velocity), unstack_rows(compliance), velocity_step, now))
+        if curved is not None and pulled is not None:
+            force = force + velocity_step * compliance * pulled[0]
+            nodes = nodes._replace(
+                compliance=write_node(nodes.compliance, old.compliance + dot(pulled[0], curved[0])),
+                damping=nodes.damping if pulled[1] is None else nodes.damping + pulled[1],
+            )
         return BackwardNodes(
             at=write_node(nodes.at, begin),
             speeds=nodes.speeds,
             positions=write_node(nodes.positions, position),
             velocities=write_node(nodes.velocities, velocity),
-            force=write_node(nodes.force, jnp.stack(force)),
+            force=write_node(nodes.force, force),
             mass=write_node(nodes.mass, old.mass + mass),
             compliance=nodes.compliance,
             contact_time=write_node(nodes.contact_time, jnp.zeros_like(old.contact_time)),
             damping=nodes.damping,
             gravity=nodes.gravity,
             vertices=None if nodes.vertices is None else nodes.vertices.at[triangle].add(corners),
+            point=nodes.point,
         )
 
     return jax.lax.fori_loop(0, count, one, nodes)

@@ -23,9 +23,11 @@ from jaxform.adjoint.backward import (
     add_loss_cotangents,
     add_rim_cotangents,
     add_weight_cotangents,
+    displace_landed_nodes,
     pull_back_landings,
     pull_back_rim,
     rim_end_positions,
+    split_point_cotangents,
     step_nodes_back,
 )
 from jaxform.core.pytree import parameter_ranges, pytree
@@ -68,6 +70,8 @@ class _WindowResiduals:
         positions: Positions of nodes that landed, before that step (3, n_node) [m].
         velocities: Velocities at the end (3, n_node) [m/s]; of nodes that landed, those before the impact. Where
             damping makes the steps irreversible, both are those of all nodes at the window's begin.
+        curved: Where nodes land on curved paths, their `ContactStep.curve` and position after the landing's step
+            (6, n_node) [m]; None otherwise.
     """
 
     scene: Scene
@@ -86,6 +90,7 @@ class _WindowResiduals:
     count: jax.Array
     positions: jax.Array
     velocities: jax.Array
+    curved: jax.Array | None
 
 
 def _simulate_window(
@@ -99,7 +104,7 @@ def _simulate_window(
     end, landed, impact = window_and_impacts(state, scene, discrete, schedule)
     positions, velocities, control = end.nodes.positions, end.nodes.velocities, end.control
     if impact is not None:
-        positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)
+        positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:6], velocities)
     damping = scene.solver.damping
     if damping is not None:
         timing = state.time, state.control.step_length, control.last_length
@@ -125,6 +130,7 @@ def _simulate_window(
         count=control.last_count,
         positions=positions,
         velocities=velocities,
+        curved=impact[6:] if impact is not None and scene.lands_smoothly else None,
     )
     return end, kept
 
@@ -148,8 +154,10 @@ def _begin_reverse_steps(kept: _WindowResiduals, now: ReverseWindow) -> ReverseS
     packed, elements, damping = now.packed, now.packed.elements, now.scene.solver.damping
     begin, end = packed.pack(kept.positions), packed.pack(kept.end)
     velocities = jnp.where(packed.exists, packed.pack(kept.velocities), 0.0)
+    curved = None if kept.curved is None else packed.pack(kept.curved)
     if damping is None:
-        return ReverseStart(begin, velocities)
+        return ReverseStart(begin, velocities, curved=curved)
+    beyond = None if curved is None else curved[3:]
     keeps = ~_is_reversible(damping, (kept.time, kept.before, kept.length), kept.count)
     places, count = now.mass.size, jnp.where(keeps, now.count, 0)
 
@@ -158,17 +166,19 @@ def _begin_reverse_steps(kept: _WindowResiduals, now: ReverseWindow) -> ReverseS
         load = Load(positions, now.thickness, now.pressure[n], now.material)
         corners, _ = corner_forces(load, elements, corners)
 
-        def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
+        def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any, beyond: Any) -> Any:
             positions, velocities, before = old
             nodal = add_gravity(gather_shares(corners, own), mass, now.scene.solver.gravity)
             new, _ = update_velocity(nodal, velocities, (landed < n, mass, compliance), now.velocity_step[n], damping)
             new = [jnp.where(landed < n, old, v) for old, v in zip(velocities, new, strict=True)]
             before = [jnp.where(landed == n, x, at) for x, at in zip(positions, before, strict=True)]
+            if beyond is not None:
+                end = [jnp.where(landed == n, far, to) for far, to in zip(beyond, end, strict=True)]
             ways = zip(positions, new, end, strict=True)
             moved = [jnp.where(landed <= n, to, x + now.length * v) for x, v, to in ways]
             return [moved, new, before, new], []
 
-        inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, end
+        inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, end, beyond
         into = [positions, velocities, before, ArraySlice(speeds, (n + 1) * places, places)]
         new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=3)
         return n + 1, *new, corners
@@ -176,7 +186,7 @@ def _begin_reverse_steps(kept: _WindowResiduals, now: ReverseWindow) -> ReverseS
     speeds = jnp.zeros((3, (SHORT_WINDOW + 1) * places), begin.dtype).at[:, :places].set(velocities)
     carry = jnp.int32(0), begin, velocities, begin, speeds, allocate_corner_forces(begin, elements)
     carry = jax.lax.while_loop(lambda carry: carry[0] < count, advance, carry)
-    return ReverseStart(carry[3], carry[2], carry[4], keeps)
+    return ReverseStart(carry[3], carry[2], carry[4], keeps, curved)
 
 
 def _pull_back_window(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
@@ -331,6 +341,7 @@ def _reverse_steps(
             damping=jnp.zeros((), real),
             gravity=None if scene.solver.gravity is None else jnp.zeros(3, real),
             vertices=None if vertices is None else jnp.zeros_like(vertices),
+            point=None if start.curved is None else jnp.zeros_like(positions),
         ),
         corners=allocate_corner_forces(positions, elements) + allocate_corner_forces(positions, elements),
         summed=zero_sums(first, wanted),
@@ -369,15 +380,21 @@ def _reverse_steps(
             law = {name: carry.law[name] + more for name, more in zip(single, sums, strict=True)}
         after = None if places is None else rim_end_positions(nodes, places)
         nodes = step_nodes_back(nodes, corners, step, now, start, loss.damping_loss)
+        if start.curved is not None:
+            displace = functools.partial(displace_landed_nodes, step=step, now=now, end=start)
+            nodes = lax_cond_once(lands[n - 2], displace, nodes)
         early, swept = None, carry.rim
         if rim is not None and places is not None and after is not None and swept is not None:
             nodes, early, own = pull_back_rim(nodes, start.before, after, step, places, now, rim[n])
             swept = swept.at[n].set(own)
+        if start.curved is not None:
+            keep = functools.partial(split_point_cotangents, step=step, now=now)
+            nodes = lax_cond_once(lands[n - 2], keep, nodes)
         if mold is not None:
             back_over = functools.partial(pull_back_landings, mold=mold, now=now, loss=loss.contact_loss)
             nodes = lax_cond_once(
                 lands[n - 1],
-                lambda nodes: back_over(nodes, start.before, step, (packed.pack(kept.wall), kept.time)),
+                lambda nodes: back_over(nodes, start, step, (packed.pack(kept.wall), kept.time)),
                 nodes,
             )
         if early is not None and places is not None:

@@ -59,8 +59,9 @@ class Landing(NamedTuple):
         nodes: Nodal fields.
         step: Step in which each node came into contact (n_node,).
         loss: Kinetic energy lost by impacts so far [J].
-        impact: Position [m] before that step, and velocity [m/s], of nodes that landed (6, n_node); None where they are
-            not recorded.
+        impact: Position [m] before that step, and velocity [m/s], of nodes that landed (6, n_node); where they land on
+            curved paths also `ContactStep.curve`, and the position after that step [m] (12, n_node). None where they
+            are not recorded.
         work: Work of moving tools on nodes that came into contact [J]; None where all tools rest.
         record: Triangle on which each node landed in each step (n_step, n_node), as in `encode_landing`; -1 for none.
             None where it is not recorded.
@@ -394,9 +395,7 @@ def _place_on_surface(
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
     wall = jnp.where(above < 0, -1, 1) * (chosen + 1)
     loss = 0.5 * mass * dot(velocities, velocities)
-    impact = landing.impact
-    if impact is not None:
-        impact = jnp.where(lands, jnp.concatenate([before, velocities]), impact)
+    flight = [before, velocities]
     new: Any = 0.0
     slip = nodes.slip
     if not mold.contact.sticks and compliance is not None:
@@ -421,6 +420,7 @@ def _place_on_surface(
             point, new = jnp.where(mobile, point, after), jnp.where(mobile, new, velocities)
     if now.curve is not None:
         point, new, beta = _land_on_curve(before, after, now, mold, jnp.maximum(chosen, 0), lands)
+        flight += [now.curve, point]
     time = now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length
     return Landing(
         nodes=dataclasses.replace(
@@ -435,7 +435,7 @@ def _place_on_surface(
         ),
         step=jnp.where(lands, now.number, landing.step),
         loss=landing.loss + jnp.sum(jnp.where(lands, loss, 0.0)),
-        impact=impact,
+        impact=None if landing.impact is None else jnp.where(lands, jnp.concatenate(flight), landing.impact),
         work=work,
         record=landing.record,
         works=landing.works,

@@ -99,8 +99,8 @@ def window_and_impacts(
     """The state after a window, and the contacts that were made in it; not differentiable.
 
     Returns:
-        The state; the step in which each node landed (n_node,), NEVER for the others; and the impacts (6, n_node), as
-        in `sticking.Landing`, None without a mold.
+        The state; the step in which each node landed (n_node,), NEVER for the others; and the impacts (6 or 12,
+        n_node), as in `sticking.Landing`, None without a mold.
     """
     active = active_set_of(state, scene, discrete)
     impacts, packed = bool(scene.surfaces), active.packed
@@ -312,7 +312,7 @@ def _begin_window(
         account=state.account,
         memory=state.memory,
         landing_step=jnp.full(places, NEVER, jnp.int32),
-        impact=jnp.zeros((6, places), positions.dtype) if impacts else None,
+        impact=jnp.zeros((12 if scene.lands_smoothly else 6, places), positions.dtype) if impacts else None,
         count=jnp.int32(0),
         halted=jnp.asarray(False),
         stale=jnp.asarray(False) if searches else None,

@@ -309,7 +309,6 @@ class Scene:
             "nodes slide on the mold": self.mold is not None and not self.mold.contact.sticks,
             "it has tools besides the mold": bool(self.tools),
             "sides are held at edges of its tools": bool(self.tables.edges),
-            "its nodes land on curved paths": self.lands_smoothly,
         }
         return [reason for reason, holds in parts.items() if holds]
 
