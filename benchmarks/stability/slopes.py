@@ -242,3 +242,95 @@ def show_starts() -> dict[str, list[float]]:
         found[name] = [by_start(ramp, damping, smooth) for smooth in (False, True)]
         print(f"{name}: {found[name][0]:.2e}, with smooth landing {found[name][1]:.2e}", flush=True)
     return found
+
+
+# --- Slopes against secants -------------------------------------------------------------------------------------------
+
+QUANTITIES = ("evenness", "thinnest wall")
+_NEAR = (0.999, 1.0, 1.001)  # designs at which slopes are taken: they differ by chance
+
+
+def preform() -> Scene:
+    """A preform blown into a bottle, a quarter: the scene in which slopes depart most from the trend."""
+    angle = np.linspace(0.0, 0.5 * np.pi, 9)
+    end = np.stack([0.011 * np.cos(angle), 0.055 + 0.011 * np.sin(angle)], 1)
+    sheet = shapes.preform(profile=[(0.011, 0.0), *map(tuple, end)], elements=1000, symmetry="quarter")
+    outside = [[0.0, 0.106], [0.012, 0.108], [0.024, 0.110], [0.029, 0.105], [0.030, 0.095], [0.030, 0.040],
+               [0.026, 0.028], [0.0118, 0.010], [0.0114, 0.0], [0.0108, -0.0006]]  # fmt: skip
+    mold = molds.revolved(profile=outside, segments=96)
+    return scene_of(
+        sheet,
+        jaxform.Yeoh(c1=real(0.5e6), c2=real(5e3), c3=real(300.0), density=real(1300.0)),
+        jaxform.make_pressure([0.0, 0.15], [0.0, 1.5e6], "cubic-ramp"),
+        jaxform.make_mold(mold.vertices, mold.triangles),
+        thickness=3e-3,
+        end_time=0.18,
+        damping=300.0,
+    )
+
+
+def looks(result: jaxform.Result) -> jax.Array:
+    """Logarithms of the wall's mean-square deviation from its mean, relative to that, and of the thinnest (2,)."""
+    area, wall = result.element_volume / result.element_thickness, result.element_thickness
+    mean = jnp.sum(area * wall) / jnp.sum(area)
+    uneven = jnp.sum(area * jnp.square(wall / mean - 1.0)) / jnp.sum(area)
+    return jnp.log(jnp.stack([uneven, jnp.min(wall)]))
+
+
+def directions(scene: Scene) -> tuple[list[str], np.ndarray]:
+    """Names of six directions of relative thickness, and these (6, n_node): the scale, three random, two nodes."""
+    random, free = np.random.default_rng(7), np.flatnonzero(~np.asarray(scene.parison.clamped))
+    rows = [np.ones(scene.parison.thickness.size), *random.normal(size=(3, scene.parison.thickness.size))]
+    rows += [np.eye(len(rows[0]))[node] for node in random.choice(free, 2, replace=False)]
+    return ["scale", "random", "random", "random", "node", "node"], np.stack(rows)
+
+
+def against_secants(scene: Scene, smooth: bool) -> tuple[list[Found], np.ndarray]:
+    """Slopes at three designs and secants of 1 % of both quantities, direction by direction; and the wall [m].
+
+    `apart` is the rms of slope less secant over the designs, `share` the same over the gradient's norm times the
+    direction's.
+    """
+    scene = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, smooth_landing=smooth))
+
+    def run(log: jax.Array) -> jaxform.Result:
+        return jaxform.simulate(jaxform.replace(scene, {"parison.thickness": scene.parison.thickness * jnp.exp(log)}))
+
+    both = jax.jit(jax.grad(lambda log, weight: weight @ looks(run(log))))
+    names, rows = directions(scene)
+    zero, found = jnp.zeros(rows.shape[1]), []
+    slopes = np.asarray([[both(zero + np.log(k), jnp.eye(2)[q]) for k in _NEAR] for q in range(2)])
+    ends = np.asarray([[looks(run(zero + sign * 0.01 * row)) for row in rows] for sign in (1.0, -1.0)])
+    secants = (ends[0] - ends[1]) / 0.02
+    for q, quantity in enumerate(QUANTITIES):
+        norm = float(np.sqrt(np.mean(np.sum(np.square(slopes[q]), axis=1))))
+        for name, row, secant in zip(names, rows, secants[:, q], strict=True):
+            along = slopes[q] @ row
+            apart = float(np.sqrt(np.mean(np.square(along - secant))))
+            share = apart / (norm * np.linalg.norm(row))
+            meets = apart <= 0.1 * abs(secant) or share <= 0.01
+            found.append({"quantity": quantity, "direction": name, "slopes": along.tolist(), "secant": float(secant),
+                          "apart": apart, "share": share, "meets": bool(meets)})  # fmt: skip
+    return found, np.asarray(run(zero).element_thickness)
+
+
+def show_secants(*names: str) -> dict[str, list[Found]]:
+    """Slopes against secants with nodes on straight and on curved paths, of the named scenes or of five."""
+    found = {}
+    for name in names or ("preform", "dish-coarse", "cup-fast", "soap-bottle", "box-uniform"):
+        scene = preform() if name == "preform" else jaxform.load(name)
+        walls = []
+        for smooth in (False, True):
+            jax.clear_caches()
+            rows, wall = against_secants(scene, smooth)
+            found[f"{name}, {'curved' if smooth else 'straight'}"] = rows
+            walls.append(wall)
+            for row in rows:
+                values = ", ".join(f"{each:.4f}" for each in row["slopes"])
+                print(f"{name} {'curved' if smooth else 'straight'}: {row['quantity']}, {row['direction']}: "
+                      f"{values} against {row['secant']:.4f}, {100 * row['share']:.2f} % of the norm, "
+                      f"{'meets' if row['meets'] else 'misses'}", flush=True)  # fmt: skip
+        change = walls[1] / walls[0] - 1.0
+        print(f"{name}: wall changes by {100 * np.sqrt(np.mean(change**2)):.3f} % rms, "
+              f"thinnest by {100 * (walls[1].min() / walls[0].min() - 1.0):.3f} %", flush=True)  # fmt: skip
+    return found
