@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _LEAST, _MOST = 1e-9, 1e3  # m
 _LARGE = 3.0  # of a part in metres, which may be one of a few inches
+_DRAWN = 0.75  # times the width, above which a plug is the rule
 _DEEP = 1.5  # times the width, above which hardly anything is thermoformed
 
 
@@ -151,7 +152,11 @@ def _warn(made: Draft) -> None:
         return
     if found.depth > _DEEP * made.width:
         problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
-        warn_of(problem, "expect unfilled corners, or form a wider sheet", key="--mold")
+        warn_of(
+            problem,
+            "let a plug push the sheet first (--plug auto), form a wider sheet, or expect unfilled corners",
+            key="--mold",
+        )
     if made.slit is not None:
         problem = f"has {scene_text.slits_text(made.slit)}, more than twice as deep as wide: they are left open"
         warn_of(problem, "widen them, or raise pressure.value and check whether the sheet touches itself", key="--mold")
@@ -170,6 +175,8 @@ def _lines(made: Draft) -> Iterator[str]:
     if made.doubt:
         yield f"it is {made.doubt}"
     yield f"sheet: {scene_text.shape_text(made)}, {1e3 * made.width:.3g} mm wide, {_clamp_words(made)}"
+    if made.drape is None and made.plug is None and _DRAWN * made.width < made.found.depth <= _DEEP * made.width:
+        yield "so deep a draw leaves the bottom thin: `--plug auto` makes a plug that pushes the sheet first"
     if made.drape is None and made.covers.mesh is not None:
         yield f"{scene_text.COVERS} closes {scene_text.covers_text(made)}"
     if made.plug is not None:

@@ -29,6 +29,8 @@ DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
 _SELDOM = (100_000, 50, 50)
 """Thresholds of garbage collection: with the usual ones a short run would spend a tenth of its time on imports."""
 _MOMENT = 1.0  # s, after which a wait is reported
+COMPARING = "comparing the part with the mold; its files are written already"
+"""The words for this wait, which begins in the run and goes on while results are written."""
 guard = contextlib.ExitStack()
 """Context of a command that holds the folder of compiled programs."""
 
@@ -121,10 +123,17 @@ def progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] | 
 
 @contextlib.contextmanager
 def report_waiting(arguments: argparse.Namespace, words: str) -> Iterator[None]:
-    """Reports a wait that takes longer than a moment."""
+    """Reports a wait that takes longer than a moment: once in a command, though it may come in parts."""
     from threading import Timer
 
-    timer = Timer(_MOMENT, lambda: say(f"{words} ..."))
+    reported = vars(arguments).setdefault("reported", set())
+
+    def report() -> None:
+        if words not in reported:
+            reported.add(words)
+            say(f"{words} ...")
+
+    timer = Timer(_MOMENT, report)
     timer.daemon = True
     if not arguments.quiet:
         timer.start()
@@ -185,7 +194,7 @@ def write_part(
     wait_for_picture, elsewhere = picture
 
     def write() -> tuple[dict[str, Any], Exception | None]:
-        with report_waiting(arguments, "comparing the part with the mold; its files are written already"):
+        with report_waiting(arguments, COMPARING):
             summary = output.write_result(scene, result, folder, warned, amend, there=there)
         return summary, _failure(then) if elsewhere else None
 

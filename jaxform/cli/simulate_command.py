@@ -93,8 +93,7 @@ def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store)
             with contextlib.suppress(OSError, InputError):
                 output.write_at_once(scene, result, arguments.out, arguments.warned)
                 there = True
-            words = "comparing the part with the mold; its files are written already"
-            measuring.enter_context(session.report_waiting(arguments, words))
+            measuring.enter_context(session.report_waiting(arguments, session.COMPARING))
 
         def on_window(moment: Moment) -> bool:
             nonlocal interrupted

@@ -27,6 +27,8 @@ _GEOMETRY = (
     *(".sldprt", ".sldasm", ".ipt", ".iam", ".catpart", ".catproduct", ".prt", ".par", ".fcstd", ".f3d"),
 )
 """Endings of what CAD programs write that is no mesh."""
+_SCENES = (".3mf", ".amf", ".glb", ".gltf", ".dae", ".fbx", ".blend", ".wrl", ".x3d", ".3ds", ".usd", ".usdz")
+"""Endings of what printers and renderers read."""
 _ROOM, _ROOM_PER_BYTE = 500_000_000, 60  # of memory for meshio, beside what the process has
 _limiting = threading.Lock()
 
@@ -64,6 +66,9 @@ def _unknown_format_error(ending: str, readers: Collection[str], value: str) -> 
     if ending in _GEOMETRY:
         problem += ": the native geometry of a CAD program, which has no triangles"
         remedy = f"export the part as STL from the CAD program, or {remedy}"
+    elif ending in _SCENES:
+        problem += ": it holds parts with placements, colours and the like"
+        remedy = f"export the part as STL from the program that wrote it, or {remedy}"
     return InputError(problem, remedy, value=value)
 
 

@@ -11,6 +11,7 @@ from jaxform.core.errors import InputError
 from jaxform.mesh import outlines
 from jaxform.mesh.bisection import Snap
 from jaxform.mesh.rows import positions_in_rows
+from jaxform.mesh.volumes import longest_sides
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -295,7 +296,7 @@ def _check_quality(points: Array, triangles: NDArray[np.int32], size: float) -> 
     """The mesh; raises where an element is so low that it would make the step useless."""
     corners = points[triangles]
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    longest = longest_sides(corners)
     height = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / longest
     if height.min() < _LOWEST * size:
         raise _narrow_error(corners[np.argmin(height)].mean(0), size)

@@ -1,4 +1,4 @@
-"""Areas, volumes and reference metrics of triangles in NumPy, where JAX would compile for every mesh size."""
+"""Sides, areas, volumes and reference metrics of triangles in NumPy, where JAX would compile for every mesh size."""
 
 from __future__ import annotations
 
@@ -14,6 +14,11 @@ Index = NDArray[np.integer]
 
 _MOST_FOLDED = 0.99  # of an element, that may lie in folds: no wall is more than a hundred times as thick
 _WORTH_TELLING = 1e-3  # the same share, from which it is warned of
+
+
+def longest_sides(corners: Array) -> Array:
+    """The longest side (n,) [m] of each triangle (n, 3, 3) [m]."""
+    return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
 
 
 def areas(positions: Array, triangles: Index) -> Array:

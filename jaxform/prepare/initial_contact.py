@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import bisection, topology
+from jaxform.mesh.volumes import longest_sides
 from jaxform.model.scene import Parison, Refinement
 from jaxform.model.tables import Bend
 from jaxform.tools.crossings import proper_crossings
@@ -179,7 +180,7 @@ def find_initial_bisections(
         grid: The mold's search structure.
     """
     level, corners = forest.level(), forest.positions[forest.triangles]
-    side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    side = longest_sides(corners)
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     wanted = np.zeros(len(level), bool)
     if in_contact is not None:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import topology
+from jaxform.mesh.volumes import longest_sides
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 from jaxform.tools.distances import Distances, interpolate, weights
@@ -77,7 +78,7 @@ def _lines_at_edges(mold: Mold, scene: Scene, result: Result) -> list[Array]:
         return []
     start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
     formed = np.asarray(result.positions, float) - (mold.vertices_at(float(scene.solver.end_time)) - vertices)[0]
-    sides = _longest_sides(formed[triangles])
+    sides = longest_sides(formed[triangles])
     places, edge, path = _points_on_paths(vertices, edges, _STEP * float(np.median(sides)))
     found = Distances(formed, triangles, _REACH * float(sides.max())).nearest(places)
     weight = weights(found.place, formed[triangles[found.triangle]])
@@ -85,14 +86,9 @@ def _lines_at_edges(mold: Mold, scene: Scene, result: Result) -> list[Array]:
     near = (found.distance <= _REACH * sides[found.triangle]) & _is_convex(vertices, edges[:, edge], on_sheet)
     jump = np.linalg.norm(np.diff(on_sheet, axis=0), axis=1)
     breaks = ~near[1:] | ~near[:-1] | (path[1:] != path[:-1])
-    breaks |= jump > _JUMP * _longest_sides(start[triangles])[found.triangle[1:]]
+    breaks |= jump > _JUMP * longest_sides(start[triangles])[found.triangle[1:]]
     runs = np.split(np.arange(len(places)), np.flatnonzero(breaks) + 1)
     return [on_sheet[run] for run in runs if len(run) > 1]
-
-
-def _longest_sides(corners: Array) -> Array:
-    """The longest side (n,) [m] of each triangle (n, 3, 3)."""
-    return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
 
 
 def _points_on_paths(vertices: Array, edges: NDArray[np.integer], step: float) -> tuple[Array, Any, Any]:

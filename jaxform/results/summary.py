@@ -16,6 +16,7 @@ from jaxform.core.errors import InputError, format_place
 from jaxform.loads import Pressure
 from jaxform.materials.tension_field import relax_slack_strain
 from jaxform.mesh.topology import components
+from jaxform.mesh.volumes import longest_sides
 from jaxform.model.replacement import describe_out_of_range
 from jaxform.model.scene import Scene
 from jaxform.results.filling import measure_filling, mold_offset, warnings_of_filling
@@ -319,7 +320,7 @@ def _warnings_of_penetration(result: Result, scene: Scene, beyond: Penetration, 
 def _warnings_of_depth(result: Result, scene: Scene, beyond: Penetration, name: str) -> list[str]:
     """A sentence where the part penetrates a tool so far that its shape, or its wall there, is unreliable."""
     corners = np.asarray(result.positions, float)[np.asarray(result.triangles)[np.asarray(result.used)]]
-    side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+    side = float(longest_sides(corners).max())
     size = float(np.ptp(np.asarray(scene.parison.positions), axis=0).max())
     if beyond.nodes <= _NODES_BEYOND * size and beyond.elements <= _ELEMENTS_BEYOND * side:
         walls = np.asarray(result.element_thickness, float)[np.asarray(result.used)]

@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 _COARSE = 120  # pixels of the longer side, to compare sides
 _ROUGH = 0.02  # of the mold's size: what counts as one height of a base that is not flat, as the back of a scan
 _STANDS, _FOOT = 0.5, 0.1  # of the visible area, that the base should be, and that a flat one is at least
+_SAME = 0.98  # cosine between sides that are one
 _ALIKE = 0.97  # of the best score: as good
 _UPRIGHT = 0.35  # of the best score, from which the side that the file has upwards is chosen
 _WIDEST = 0.985  # of the visible area, that lies above the height at which a mold without a base is cut
@@ -171,8 +172,11 @@ def _other_directions(stands: list[_Stand], chosen: _Stand) -> list[str]:
     if chosen.share < _STANDS:
         return []
     least = _ALIKE * chosen.score
-    alike = [stand for stand in stands if stand.score >= least and stand is not chosen]
-    return [direction_name(stand.direction) for stand in alike[:5]]
+    alike = [chosen]
+    for stand in stands:
+        if stand.score >= least and max(float(stand.direction @ one.direction) for one in alike) < _SAME:
+            alike.append(stand)
+    return [direction_name(stand.direction) for stand in alike[1:6]]
 
 
 def _place_mold(surface: ViewedSurface, stand: _Stand, size: float, others: list[str], is_open: bool) -> Buck:

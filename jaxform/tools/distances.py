@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxform.mesh import topology
 from jaxform.mesh.rows import unique_ascending
+from jaxform.mesh.volumes import longest_sides
 from jaxform.tools.search import split_long_triangles
 
 Array = NDArray[np.float64]
@@ -98,7 +99,7 @@ class Distances:
         self.size = float(np.ptp(self.corners, axis=(0, 1)).max())
         self.farthest = farthest
         self.open_side, self.open_corner = _rims(triangles, len(places))
-        longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
+        longest = longest_sides(self.corners).max()
         shortest = max(min(longest, 0.5 * farthest), self.size / _FINEST)
         self._known: list[tuple[Array, NDArray[np.int64]]] = []
         self.groups = _groups(*split_long_triangles(self.corners, _length(self.corners, shortest)))
@@ -233,7 +234,7 @@ class Distances:
 
 def _length(corners: Array, length: float) -> float:
     """A length [m] to which triangles (n, 3, 3) can be cut, so that the pieces are not too many."""
-    side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    side = longest_sides(corners)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     in_all, each = _MOST_PIECES
     while True:

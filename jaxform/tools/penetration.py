@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.mesh.volumes import longest_sides
 from jaxform.tools.crossings import (
     Ways,
     all_columns,
@@ -111,7 +112,7 @@ def penetration(
     trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
     beyond = penetrating_nodes(triangles, ways, in_contact, trust)
     corners = positions[triangles]
-    farthest = float(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max())
+    farthest = float(longest_sides(corners).max())
     distances = Distances(mold.vertices, mold.triangles, farthest)
     deepest, _ = distances.largest(positions[beyond & ~rests])
     deepest_element = _deepest(corners[measured[ways.element]], ways, np.where(beyond, -trust, trust), distances)

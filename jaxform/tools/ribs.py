@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from jaxform.mesh import outlines, raster
 from jaxform.mesh.rows import distinct_rows
+from jaxform.mesh.volumes import longest_sides
 from jaxform.tools.crossings import Ways, crosses, near_pairs
 from jaxform.tools.search import SearchGrid
 
@@ -194,7 +195,7 @@ def _through_faces(
     kept = np.flatnonzero(count[:, 0] >= 6)
     middle, width = (np.add.reduceat(place, first) / count)[kept], np.linalg.norm(high - low, axis=1)[kept]
     triangles = corners[pair[first]][kept]
-    side = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(1)
+    side = longest_sides(triangles)
     return _escaping_spots(middle, width, way[kept], 0.0 * way[kept], up[pair[first]][kept], _normals(triangles), side)
 
 

@@ -22,6 +22,7 @@ from jaxform.core.store import Store
 from jaxform.kernels.blocks import materialize
 from jaxform.mechanics.membrane import dot
 from jaxform.mesh.rows import positions_in_rows
+from jaxform.mesh.volumes import longest_sides
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -403,7 +404,7 @@ def _estimate_listed(corners: Array, width: float, reach: float) -> float:
 
     Slivers as long as a mold are in reach of very many.
     """
-    long = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    long = longest_sides(corners)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     beside = 2 * (reach + HALF_DIAGONAL)
     return float(2 * ((long / width + beside) * (area / long / width + beside)).sum())

@@ -184,6 +184,13 @@ def test_what_takes_longer_than_a_moment_is_named(
     with session.report_waiting(argparse.Namespace(quiet=False), "comparing the part"):
         assert begun.wait(30)
     assert "comparing the part ..." in capfd.readouterr().out
+    # A wait in two parts, before and after files are written, is reported once; another one, too.
+    arguments = argparse.Namespace(quiet=False)
+    for words in ("comparing the part", "comparing the part", "drawing the part"):
+        begun.clear()
+        with session.report_waiting(arguments, words):
+            begun.wait(0.5)
+    assert capfd.readouterr().out == "comparing the part ...drawing the part ..."
     begun.clear()
     with session.report_waiting(argparse.Namespace(quiet=True), "comparing the part"):
         pass

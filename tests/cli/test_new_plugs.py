@@ -45,6 +45,16 @@ def _new(folder: Path, mold: Path, plug: Path | str) -> Scene:
     return files.load(folder / "scene.toml")
 
 
+@pytest.mark.parametrize(("depth", "named"), [(0.05, False), (0.12, True)])
+def test_a_deep_draw_without_a_plug_names_the_plug(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], depth: float, named: bool
+) -> None:
+    shape = molds.revolved(profile=[[0.0, depth], [0.05, depth], [0.065, 0.0], [0.08, 0.0]], segments=60)
+    mold = _write(tmp_path / "mold.stl", Mesh(shape.vertices, shape.triangles, {}))
+    assert command.main(["new", str(tmp_path / "scene"), "--mold", str(mold)]) == 0
+    assert ("--plug auto" in capfd.readouterr().out) == named
+
+
 @pytest.mark.parametrize("mold", [_cup(), _tray()], ids=["cup", "tray"])
 def test_a_plug_of_the_cavity_keeps_off_the_mold(tmp_path: Path, mold: Mesh) -> None:
     scene = _new(tmp_path / "scene", _write(tmp_path / "mold.stl", mold), "auto")

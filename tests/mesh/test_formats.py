@@ -110,6 +110,12 @@ def test_geometry_of_a_cad_program_is_refused_with_the_way_to_a_mesh(tmp_path: P
     assert "no triangles" in words and "export the part as STL" in words
 
 
+@pytest.mark.parametrize("name", ["cup.3mf", "cup.GLB", "cup.gltf"])
+def test_files_of_printers_and_renderers_are_refused_with_the_way_to_a_mesh(tmp_path: Path, name: str) -> None:
+    words = _assert_refused(tmp_path, name, "PK")
+    assert "holds parts with placements" in words and "export the part as STL" in words
+
+
 def test_an_ascii_stl_that_is_cut_is_refused(tmp_path: Path) -> None:
     text = _ascii_stl()
     for end in (text.rindex("endsolid"), text.rindex("endloop"), text.rindex("vertex") + 20, len(text) // 2):
