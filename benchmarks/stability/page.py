@@ -72,10 +72,10 @@ def _edge(found: Found, folder: Path) -> str:
         lines.append(f"| {row['sheet']} | {row['law']} | {below:g} | {row['factor']:g} |")
     figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
     bins = np.linspace(0.6, 1.15, 45).tolist()
-    axes.hist(np.clip(begin, 0.6, 1.15), bins, alpha=0.7, label="at the start, over safety x limit")
-    axes.hist(np.clip(end, 0.6, 1.15), bins, alpha=0.5, label="at the end, over the limit")
+    axes.hist(np.clip(begin, 0.6, 1.15), bins, alpha=0.7, label="at the start, relative to limit times safety")
+    axes.hist(np.clip(end, 0.6, 1.15), bins, alpha=0.5, label="at the end, relative to the limit")
     axes.axvline(1.0, color="black", linewidth=1)
-    axes.set(xlabel="step taken", ylabel="windows")
+    axes.set(xlabel="step, relative to the limit", ylabel="windows")
     _save(figure, axes, folder / "stability-edge.png")
     return "\n".join([*lines, "\n![Steps over the limit](stability-edge.png)\n"])
 

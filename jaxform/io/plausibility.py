@@ -17,6 +17,7 @@ from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
 from jaxform.mesh import topology, volumes
 from jaxform.model.scene import ContactSurface, Scene
+from jaxform.results.sections import symmetry_planes
 from jaxform.tools.crossings import nodal_normals, proper_crossings
 from jaxform.tools.distances import Distances
 from jaxform.tools.mold import Mold, make_mold
@@ -32,6 +33,7 @@ _FARTHER = 0.02  # of the sheet's size, that a tool moves off
 _TIMES = 21  # times at which the distance of a tool from the sheet is measured
 _MOST_PLACES = 5000  # vertices of a tool whose distance from the sheet is measured
 _MEETINGS = 41  # times, besides the knots of motions, at which two tools are compared
+_ACROSS, _UNLIKE = 0.1, 0.02  # of a tool's longer side of a plane: the shorter one, at least; what it lacks, at least
 _BEHIND = 1e-3  # of the sheet's size: as near as that to its surface a place is on neither side
 
 
@@ -63,6 +65,7 @@ def warn_of_tools(scene: Scene, tools: Sequence[Mold], file: str = "") -> None:
     for tool in tools:
         _warn_of_start(scene, tool, file)
         _warn_of_reach(scene, tool, file)
+        _warn_of_planes(scene, tool, file)
     for one, other, time, place in find_meetings(scene):
         when = "at the start" if time == 0.0 else f"at {time:.3g} s"
         problem = f"meets {words_of(one)[0]} {when}, near {format_place(place)}: they pass through each other"
@@ -146,6 +149,21 @@ def _warn_of_start(scene: Scene, tool: Mold, file: str) -> None:
         warn_of(f"starts in the sheet, near {where}", f"move it ({key}.translate)", key=key, file=file)
 
 
+def _warn_of_planes(scene: Scene, tool: Mold, file: str) -> None:
+    """Warns of a tool across a symmetry plane whose sides differ: its image is beside it, and both meet the sheet."""
+    places, key = np.asarray(tool.vertices, float), words_of(tool)[1]
+    for axis, level in symmetry_planes(scene).items():
+        beyond, before = level - float(places[:, axis].min()), float(places[:, axis].max()) - level
+        short, long = sorted((beyond, before))
+        if _ACROSS * long < short < (1.0 - _UNLIKE) * long:
+            problem = (
+                f"reaches {1e3 * before:.3g} mm before the symmetry plane {'xyz'[axis]} = {level:g} m, and "
+                f"{1e3 * beyond:.3g} mm beyond it, where its image is another tool"
+            )
+            remedy = f"put its middle into the plane ({key}.translate), or give the whole sheet"
+            warn_of(problem, remedy, key=key, file=file)
+
+
 def _warn_of_reach(scene: Scene, tool: Mold, file: str) -> None:
     """Warns of a tool that the sheet cannot meet: it is behind the sheet, where nothing pushes the sheet, all the time.
 
@@ -161,6 +179,11 @@ def _warn_of_reach(scene: Scene, tool: Mold, file: str) -> None:
     if min(away) <= _NEAR * size or not (behind or not np.any(pushes)):
         return
     _, key = words_of(tool)
+    end = float(scene.solver.end_time)
+    if tool.motion is not None and (begin := float(np.asarray(tool.motion.time)[0])) >= end:
+        problem = f"never reaches the sheet: it begins to move at {begin:g} s, and the run ends at {end:g} s"
+        warn_of(problem, f"let it begin earlier ({motion_key(tool, 'time')})", key=key, file=file)
+        return
     side = "on the side from which the pressure pushes the sheet away, " if np.any(pushes) else ""
     remedy = f"move it nearer ({key}.translate), or farther along its way ({motion_key(tool, 'displacement')})"
     if _moves_off(away, size):

@@ -94,8 +94,8 @@ def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) 
     right.plot(spent, 1e3 * column(history, "wall_min"), "--", color=AFTER, label="minimum of the wall [mm]")
     right.set(xlabel="cost in simulations", ylabel="wall thickness [mm]")
     twin = right.twinx()
-    twin.plot(spent, 100 * column(history, "wall_cv"), "-", color=_EXACT, label="variation [%]")
-    twin.set(ylabel="variation of the wall [%]")
+    twin.plot(spent, 100 * column(history, "wall_cv"), "-", color=_EXACT, label="coefficient of variation [%]")
+    twin.set(ylabel="coefficient of variation [%]")
     twin.spines["top"].set_visible(False)
     right.legend(handles=[*right.lines, *twin.lines], frameon=False, loc="center right")
     figure.tight_layout()
@@ -166,7 +166,7 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
 def _title(scene: Scene, result: Result) -> str:
     wall = wall_statistics(result)
     numbers = ", ".join(f"{words} {1e3 * wall[key]:.3g}" for key, words in _STATISTICS)
-    text = f"{scene.name}: wall {numbers} mm (variation {100 * wall['cv']:.3g} %)"
+    text = f"{scene.name}: wall {numbers} mm (coefficient of variation {100 * wall['cv']:.3g} %)"
     status = explain(result)
     return text if status == "ok" else f"{text}\nnot finished: {status.split(';')[0]}"
 

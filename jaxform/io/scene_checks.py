@@ -326,7 +326,7 @@ def _warn_of_bare(seen: Survey, overlap: float, radius: float, middle: Array, fi
     """Warns of sheet that the pressure would blow past the mold, or through it."""
     if 1 - overlap < _BARE and radius < _HOLE * box_size(seen.sheet):
         return
-    share = f"{100 * (1 - overlap):.2g} % of the sheet has no mold in front of it"
+    share = f"{100 * (1 - overlap):.3g} % of the sheet has no mold in front of it"
     where = f"within {radius:.2g} m of {format_place(middle)} there is none"
     remedy = (
         "cover the hole or extend the mold, make the sheet as large as the opening, or, of a half or a quarter of a "
@@ -337,7 +337,7 @@ def _warn_of_bare(seen: Survey, overlap: float, radius: float, middle: Array, fi
 
 def _warn_of_side(seen: Survey, boxes: str, file: str) -> None:
     what = f"the pressure pushes the sheet {seen.direction}, away from the mold"
-    share = f"{100 * seen.ahead:.2g} % of its area lies on that side, {100 * seen.behind:.2g} % on the other"
+    share = f"{100 * seen.ahead:.3g} % of its area lies on that side, {100 * seen.behind:.3g} % on the other"
     remedy = "turn the sign of pressure.value, turn the sheet (parison.flip), or move or turn the mold"
     warn_of(f"{what}: {share} ({boxes})", remedy, key="mold", file=file)
 

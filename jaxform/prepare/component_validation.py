@@ -13,7 +13,7 @@ import numpy as np
 from jaxform.core.errors import InputError, warn_of
 from jaxform.core.pytree import as_real, is_registered, list_parameter_names, nodal_parameter_names, parameter_ranges
 from jaxform.core.ranges import as_numbers, check, check_one
-from jaxform.loads import Interval, Loading, TwoSidedLoad, first_pressure, list_gases, next_pressure
+from jaxform.loads import Interval, Loading, Pressure, TwoSidedLoad, first_pressure, list_gases, next_pressure
 from jaxform.materials import Cooling, Law, Modes, Shift
 from jaxform.mesh import bisection
 from jaxform.model.field import Field
@@ -350,8 +350,11 @@ def check_gas(pressure: Loading, volume: float) -> None:
         raise InputError(f"the gas has a volume of {first:.3g} m^3 at first", remedy, "gas.dead_volume")
 
 
-def check_clamp_opening(parison: Parison, pressure: Loading, solver: Solver) -> None:
-    """Raises InputError where a clamp opens before the end that closes a gas; warns where it opens after the end."""
+def check_clamp_opening(parison: Parison, pressure: Loading, solver: Solver, surfaces: Sequence[Mold]) -> None:
+    """Raises InputError where a clamp opens before the end that closes a gas.
+
+    Warns where it opens after the end, and where a pressure then goes on that blows the sheet away.
+    """
     until, end = float(np.asarray(parison.clamp_until)), float(solver.end_time)
     key = "parison.clamp_until"
     if until >= end:
@@ -360,10 +363,26 @@ def check_clamp_opening(parison: Parison, pressure: Loading, solver: Solver) -> 
     elif pressure.follows_volume:
         remedy = "leave it out, or give [pressure] instead of the gas"
         raise InputError("lets out the gas that the clamped sheet encloses", remedy, key, until)
+    elif isinstance(pressure, Pressure) and _pushes_on(pressure, until, end, held=bool(surfaces)):
+        problem = "the pressure still rises after the clamp has opened, and blows away what does not touch a tool yet"
+        if not surfaces:
+            problem = "the pressure goes on after the clamp has opened, and nothing holds the sheet"
+        warn_of(problem, "let the pressure end with the clamp, or open it later", key=key, value=until)
+
+
+def _pushes_on(pressure: Pressure, begin: float, end: float, held: bool) -> bool:
+    """Whether a pressure rises between two times [s] or, where no tool holds the sheet, acts at the later one."""
+    time, value = np.asarray(pressure.time, float), np.asarray(pressure.value, float)
+    # Between its knots a pressure rises or falls all the way.
+    size = np.abs(np.interp([begin, *time[(time > begin) & (time < end)], end], time, value))
+    return bool(size.max() > (1.0 + 1e-6) * size[0] or (not held and size[-1] > 0.0))
 
 
 def check_smooth_landing(solver: Solver, surfaces: Sequence[Mold]) -> None:
-    """Raises InputError where nodes would land on curved paths on tools that move or that they do not stick to."""
+    """Raises InputError where nodes would land on curved paths on tools that move or that they do not stick to.
+
+    Warns where there are no tools.
+    """
     if not solver.smooth_landing:
         return
     key = "solver.smooth_landing"
@@ -372,6 +391,8 @@ def check_smooth_landing(solver: Solver, surfaces: Sequence[Mold]) -> None:
     if any(surface.motion is not None or not surface.contact.sticks for surface in surfaces):
         problem = "needs tools at rest that the sheet sticks to"
         raise InputError(problem, 'leave it out, or use contact = "stick" and no motion', key, True)
+    if not surfaces:
+        warn_of("has no effect: there is no tool to land on", "leave it out", key=key, value=True)
 
 
 def check_weight(solver: Solver, refinement: Refinement | None) -> None:

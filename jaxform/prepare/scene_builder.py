@@ -180,7 +180,7 @@ def build_scene(
     if parison.clamp_until is None:
         held = held | np.asarray(parison.clamped)[:, None]
     else:
-        component_validation.check_clamp_opening(parison, pressure, solver)
+        component_validation.check_clamp_opening(parison, pressure, solver, surfaces)
         in_contact = _release_from_moving_tools(in_contact, parison, surfaces)
     mobility, grown = as_real(~held.T), None
     rim = moving_rim(positions, triangles, held, np.asarray(sheet.origin), forest)

@@ -312,7 +312,7 @@ def _warnings_of_penetration(result: Result, scene: Scene, beyond: Penetration, 
     name = "the mold" if tool is scene.mold else f"tool {tool_label(tool)}"
     return [
         *_warnings_of_depth(result, scene, beyond, name),
-        *_warnings_of_ribs(beyond, name),
+        *_warnings_of_ribs(beyond, scene, name),
         *_warnings_of_unmeasured(beyond, name),
     ]
 
@@ -324,14 +324,14 @@ def _warnings_of_depth(result: Result, scene: Scene, beyond: Penetration, name: 
     size = float(np.ptp(np.asarray(scene.parison.positions), axis=0).max())
     if beyond.nodes <= _NODES_BEYOND * size and beyond.elements <= _ELEMENTS_BEYOND * side:
         walls = np.asarray(result.element_thickness, float)[np.asarray(result.used)]
-        found = _warnings_of_cut_edges(beyond, corners, walls, name)
+        found = _warnings_of_cut_edges(beyond, scene, corners, walls, name)
         rim = np.asarray(rim_elements(result, scene)) if found and name == "the mold" else np.zeros(1, bool)
         if not rim.any():
             return found
         # Where sheet is cut off along an edge, as flash at a cavity's rim, elements span it; the others are judged.
         inner = dataclasses.replace(result, used=np.asarray(result.used) & ~rim)
         corners, walls = corners[~rim[np.asarray(result.used)]], walls[~rim[np.asarray(result.used)]]
-        return _warnings_of_cut_edges(measure_penetration(inner, scene), corners, walls, name)
+        return _warnings_of_cut_edges(measure_penetration(inner, scene), scene, corners, walls, name)
     return [
         f"the sheet penetrates {name}, by up to {beyond.elements:.3g} m at {format_place(beyond.place)}: it hangs "
         f"over its rim, or its elements are too large for an edge; {_remedy_of_depth(name)}"
@@ -345,7 +345,7 @@ def _remedy_of_depth(name: str) -> str:
     return f"make parison.element_size smaller, add [refinement], or round the edge of {name}"
 
 
-def _warnings_of_ribs(beyond: Penetration, name: str) -> list[str]:
+def _warnings_of_ribs(beyond: Penetration, scene: Scene, name: str) -> list[str]:
     """A sentence where the sheet passed through ribs or pins of a tool between its nodes."""
     ribs = beyond.ribs
     if not ribs.count:
@@ -354,9 +354,17 @@ def _warnings_of_ribs(beyond: Penetration, name: str) -> list[str]:
     return [
         f"the sheet passed through a rib or pin of {name} {where}, which stands {ribs.height:.3g} m above it at "
         f"{format_place(ribs.place)} and is {ribs.width:.2g} m wide there: contact is detected at nodes, and no node "
-        "met it; the wall is computed without it; set solver.edge_contact = true, make parison.element_size smaller "
-        "than its width, or add [refinement] with a larger max_level"
+        f"met it; the wall is computed without it; {_remedy_at_edges(scene)}"
     ]
+
+
+def _remedy_at_edges(scene: Scene) -> str:
+    """The remedies for edges of tools that pass between nodes: those that the scene has not yet, and can have."""
+    if scene.refinement is not None:
+        return "make parison.element_size smaller, or refinement.max_level larger"
+    if scene.solver.edge_contact or scene.solver.smooth_landing:
+        return "make parison.element_size smaller there"
+    return "set solver.edge_contact = true, make parison.element_size smaller there, or add [refinement]"
 
 
 def _warnings_of_unmeasured(beyond: Penetration, name: str) -> list[str]:
@@ -369,11 +377,14 @@ def _warnings_of_unmeasured(beyond: Penetration, name: str) -> list[str]:
     ]
 
 
-def _warnings_of_cut_edges(beyond: Penetration, corners: np.ndarray, walls: np.ndarray, name: str) -> list[str]:
+def _warnings_of_cut_edges(
+    beyond: Penetration, scene: Scene, corners: np.ndarray, walls: np.ndarray, name: str
+) -> list[str]:
     """A sentence where an element cuts a tool deeper than its wall is thick.
 
     Args:
         beyond: Penetration of the part into the tool, and its place.
+        scene: The scene.
         corners: Corners of the elements (n_element, 3, 3) [m].
         walls: Their thickness (n_element,) [m].
         name: Name of the tool in the sentence.
@@ -383,8 +394,7 @@ def _warnings_of_cut_edges(beyond: Penetration, corners: np.ndarray, walls: np.n
         return []
     return [
         f"an element cuts an edge of {name}, {beyond.elements:.3g} m deep at {format_place(beyond.place)}, deeper "
-        f"than its wall of {walls[nearest]:.3g} m: its nodes lie on both sides of the edge; make parison.element_size "
-        "smaller, or add [refinement]"
+        f"than its wall of {walls[nearest]:.3g} m: its nodes lie on both sides of the edge; {_remedy_at_edges(scene)}"
     ]
 
 

@@ -109,17 +109,22 @@ def summarize_tools(result: Result, scene: Scene) -> list[dict[str, Any]]:
 
 def _contact_over_time(result: Result, number: int, share: float) -> dict[str, Any]:
     """Largest share of the formed area on a tool at any time, when something touches it, and since when it does."""
-    landed = np.asarray(result.contact_time, float)[np.asarray(result.tool) == number]
+    landed = _from_start(np.asarray(result.contact_time, float)[np.asarray(result.tool) == number])
     times = [float(landed.min()), float(result.time)] if len(landed) else []
     most = share
     if result.contacts is not None and result.contact_periods is not None:
         most = max(most, float(result.contacts[1 + number].max(initial=0.0)))
-        times += [time for time in result.contact_periods[number].tolist() if np.isfinite(time)]
+        times += [time for time in _from_start(result.contact_periods[number]).tolist() if np.isfinite(time)]
     return {
         "contact_fraction_max": most,
         "contact_period": [min(times), max(times)] if times else None,
         "contact_time": {"min": float(landed.min()), "max": float(landed.max())} if len(landed) else None,
     }
+
+
+def _from_start(time: Array) -> Array:
+    """Times of contact (n,) [s], 0 of nodes in contact from the start, which the state marks by the least number."""
+    return np.where(np.abs(time) <= np.finfo(np.float32).tiny, 0.0, time)
 
 
 def _energies_by_tool(whole: jax.Array, split: Sequence[jax.Array], sources: list[bool]) -> list[float]:

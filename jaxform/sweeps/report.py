@@ -100,7 +100,7 @@ RESPONSES = ("wall_min", "wall_mean", "wall_cv", "mass")
 _WORDS = {
     "wall_min": ("thinnest wall", 1e3, "mm"),
     "wall_mean": ("mean wall", 1e3, "mm"),
-    "wall_cv": ("variation of the wall", 100.0, "%"),
+    "wall_cv": ("coefficient of variation", 100.0, "%"),
     "mass": ("mass", 1e3, "g"),
     "m": ("", 1e3, "mm"),
     "Pa": ("", 1e-3, "kPa"),

@@ -218,7 +218,7 @@ def test_the_box_with_an_insert_tells_where_an_element_cuts_its_edge(
     assert summary["thickness"]["mean"] < summary["penetration_max"] < 0.02
     assert 0.08 < x < 0.16 and 0.05 < y < 0.11 and 0.039 < z < 0.06
     sentence = next(words for words in summary["warnings"] if "cuts an edge of the mold" in words)
-    assert sentence in capfd.readouterr().err
+    assert sentence in capfd.readouterr().err and "set solver.edge_contact = true" in sentence
 
 
 def test_a_mold_from_an_stl_file_in_mm_with_its_triangles_turned_makes_the_same_part(

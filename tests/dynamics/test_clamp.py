@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +154,39 @@ def test_a_scene_file_opens_the_clamp(tmp_path: Path) -> None:
     file.write_text(_FILE.replace("clamp_until = 0.02", "clamp_until = 0.03"))
     with pytest.warns(jaxform.InputWarning, match="the clamp does not open before the end at 0.03 s"):
         jaxform.load(file)
+
+
+_CUP = 'shape = "revolved"\nprofile = [[0.0, 0.02], [0.03, 0.02], [0.05, 0.0]]\nsegments = 12\nfill = false'
+_MOLD = f"[mold]\n{_CUP}\n[solver]"
+
+
+@pytest.mark.parametrize(
+    ("values", "mold", "words"),
+    [
+        ("[0.0, 1e4, 1e4]", False, "nothing holds the sheet"),
+        ("[0.0, 1e4, 2e4]", True, "still rises after the clamp has opened"),
+        ("[0.0, 1e4, 1e4]", True, ""),
+        ("[0.0, 1e4, 0.0]", False, ""),
+        ("[0.0, 0.0, 0.0]", False, ""),
+    ],
+)
+def test_a_pressure_that_blows_away_a_sheet_that_was_let_go_is_warned_of(
+    tmp_path: Path, values: str, mold: bool, words: str
+) -> None:
+    pressure = f"[pressure]\ntime = [0.0, 0.02, 0.03]\nvalue = {values}\n[solver]"
+    text = _FILE.replace("[solver]", pressure)
+    (tmp_path / "frame.toml").write_text(text.replace("[solver]", _MOLD) if mold else text)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        jaxform.load(tmp_path / "frame.toml")
+    told = [str(one.message) for one in found if "parison.clamp_until" in str(one.message)]
+    assert (len(told) == 1 and words in told[0]) if words else not told
+
+
+def test_landing_smoothly_on_nothing_is_warned_of(tmp_path: Path) -> None:
+    (tmp_path / "frame.toml").write_text(_FILE.replace("[solver]", "[solver]\nsmooth_landing = true"))
+    with pytest.warns(jaxform.InputWarning, match="smooth_landing = True: has no effect"):
+        jaxform.load(tmp_path / "frame.toml")
 
 
 @pytest.mark.parametrize(

@@ -232,6 +232,10 @@ CUP = {"shape": "revolved", "profile": [[0.0, 0.05], [0.07, 0.05], [0.1, 0.0]], 
             [_plug(translate=[0.0, 0.0, -0.02], displacement=[0.0, 0.015])],
             ["tool.plug: never reaches the sheet: .*farther"],
         ),
+        (
+            [_plug(time=[9.0, 9.1])],
+            ["tool.plug: never reaches the sheet: it begins to move at 9 s, and the run ends at "],
+        ),
         ([_plug(direction=[0.0, 0.0, -1.0])], ["tool.plug: never reaches the sheet: .* reverse tool.plug.direction"]),
         ([_plug(translate=[0.026, 0.003, 0.01], radius=5e-4, segments=6)], ["tool.plug: starts in the sheet, near "]),
         # A ring of its vertices lies in the sheet: inside of an element, or at its pole alone.
@@ -244,7 +248,10 @@ CUP = {"shape": "revolved", "profile": [[0.0, 0.05], [0.07, 0.05], [0.1, 0.0]], 
         ([_plug(time=[0.0, 1e-4])], ["tool.plug.time = .*: the tool plug moves at 300 m/s, faster than waves"]),
         (
             [PLUG, _plug(name="stop", translate=[0.01, 0.0, -0.001], direction=None, time=None, displacement=None)],
-            ["tool.stop: meets the tool plug at the start, near "],
+            [
+                "tool.stop: reaches 30 mm before .* x = 0 m, and 10 mm beyond it",
+                "tool.stop: meets the tool plug at the start, ",
+            ],
         ),
         # Two that move side by side, and one that follows another, do not meet.
         ([PLUG, _plug(name="ring", shape="plate", length=None, translate=[0.0, 0.0, -0.1])], []),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,6 +20,7 @@ from jaxform.results.summary import (
 )
 from jaxform.results.tool_contact import summarize_tools
 from jaxform.tools.penetration import Penetration
+from jaxform.tools.ribs import Ribs
 
 _SHEET, _GAP, _WAY, _END = 0.01, 0.1, 0.5, 10.0
 
@@ -173,6 +175,22 @@ def test_contact_of_tools_that_come_and_go() -> None:
     assert third["contact_period"] == [5.5, 6.5] and third["contact_time"] is None
 
 
+def test_contact_from_the_start_begins_at_0() -> None:
+    """Not at the least number, by which the state tells it from a clamp."""
+    disc = shapes.disc(radius=1.0, elements=24, symmetry="quarter")
+    lowest = molds.plate(radius=0.9)
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(disc.positions, disc.triangles, _SHEET, disc.clamped, disc.fixed),
+        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
+        solver=jaxform.make_solver(end_time=_END, damping=2.0),
+        mold=jaxform.make_mold(lowest.vertices, lowest.triangles),
+        fill=False,
+    )
+    (mold,) = summarize(jaxform.run(scene), scene)["tools"]
+    assert mold["contact_time"] == {"min": 0.0, "max": 0.0} and mold["contact_period"][0] == 0.0
+
+
 def test_a_warning_of_penetration_names_the_tool_and_its_remedy() -> None:
     """A plug need not be as wide as the sheet, as a mold must be."""
     scene = _scene(_tool(molds.plate(radius=0.3), "plug", low=3.0), elements=24)
@@ -183,6 +201,30 @@ def test_a_warning_of_penetration_names_the_tool_and_its_remedy() -> None:
     assert found.endswith("make parison.element_size smaller, add [refinement], or round the edge of tool plug")
     (of_mold,) = _warnings_of_depth(result, scene, deep, "the mold")
     assert of_mold.endswith("make the mold as wide as the sheet, or the elements smaller")
+
+
+def test_the_remedy_for_edges_between_nodes_is_one_that_the_scene_can_have() -> None:
+    """Edge contact excludes refinement and smooth landing: only what the scene has not, and can have, is named."""
+    scene = _scene(_tool(molds.plate(radius=0.3), "plug", low=3.0), elements=24)
+    result = jaxform.run(scene)
+    rib, cut = (
+        Penetration(0.0, 0.0, np.zeros(3), ribs=Ribs(3, 0.1, 0.01, np.zeros(3))),
+        Penetration(0, 0.02, np.zeros(3)),
+    )
+
+    def remedies(**changes: Any) -> list[str]:
+        solver = dataclasses.replace(scene.solver, **changes)
+        changed = dataclasses.replace(scene, solver=solver)
+        sentences = (_warnings_of_penetration(result, changed, found, scene.tools[0])[0] for found in (rib, cut))
+        return [sentence.rsplit("; ", 1)[1] for sentence in sentences]
+
+    assert all(words.startswith("set solver.edge_contact = true") for words in remedies())
+    assert remedies(edge_contact=True) == ["make parison.element_size smaller there"] * 2
+    refined = dataclasses.replace(
+        scene, refinement=jaxform.make_refinement(angle=10.0, interval=1, max_level=2, elements=99)
+    )
+    (sentence,) = _warnings_of_penetration(result, refined, rib, scene.tools[0])
+    assert "edge_contact" not in sentence and "refinement.max_level larger" in sentence
 
 
 @pytest.mark.long

@@ -68,7 +68,7 @@ def _tiles(results: Results) -> Iterable[str]:
     first = summary["design"]["before"] if results.start is not None else {}
     yield _tile("thinnest wall", number(wall["min"], 1e3), "mm", first.get("wall_min"), 1e3)
     yield _tile("mean wall", number(wall["mean"], 1e3), "mm", first.get("wall_mean"), 1e3)
-    yield _tile("variation of the wall", number(wall["cv"], 100, 3), "%", first.get("wall_cv"), 100)
+    yield _tile("coefficient of variation", number(wall["cv"], 100, 3), "%", first.get("wall_cv"), 100)
     yield _tile("mass", number(_whole_mass(results), 1e3), "g", _times(first.get("mass"), results), 1e3)
     if results.mold is not None or results.tools:
         yield _tile(f"in contact with {_tool_words(results)}", number(summary["contact_fraction"], 100, 3), "%")
@@ -243,7 +243,7 @@ def design(summary: Mapping[str, Any]) -> str:
         ("objective", "objective", 1),
         ("thinnest wall [mm]", "wall_min", 1e3),
         ("mean wall [mm]", "wall_mean", 1e3),
-        ("variation of the wall [%]", "wall_cv", 100),
+        ("coefficient of variation [%]", "wall_cv", 100),
         ("mass [g], of the modelled part", "mass", 1e3),
     )
     body = "".join(
