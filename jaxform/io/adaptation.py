@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jaxform.adapt import mesher
-from jaxform.core.errors import InputError, InputWarning, redirect_warnings
+from jaxform.core.errors import InputError, InputWarning, redirect_warnings, warn_of
 from jaxform.core.store import Arrays, Store
 from jaxform.io import files, scene_rewriting
 from jaxform.io.files import SceneDocument
@@ -36,6 +36,7 @@ _STOPS = (
     | Status.INPUT
 )
 """Statuses of runs whose wall does not say where elements should be; an unfilled corner is none of them."""
+_DOUBTFUL, _GOOD = 0.10, 0.05  # estimated errors of the elements' wall: of one to warn of, and of one that will do
 _RECENT = 8  # adapted meshes that a process keeps, which a study and its best scene ask for again
 _recent: dict[str, Arrays] = {}
 
@@ -53,14 +54,18 @@ def adapt_sheet(
 
     Raises:
         InputError: Mmg is not installed, a run stopped, or the sheet needs more elements.
+
+    Warns:
+        InputWarning: The elements are too few for the wall.
     """
     key = _key(document, sheet)
     if key not in _recent:
-        made = (store or Store()).arrays("adapted", (key,), lambda: _arrays(_make(document, sheet, store, report)))
+        made = (store or Store()).arrays("adapted", (key,), lambda: _make(document, sheet, store, report))
         while len(_recent) >= _RECENT:
             _recent.pop(next(iter(_recent)))
         _recent[key] = made
     kept = dict(_recent[key])
+    _warn_of_error(float(kept.pop(_ERROR, 0.0)), len(kept["triangles"]))
     held = {name: kept.pop(name) for name in ("positions", "triangles", "clamped", "fixed")}
     return Sheet(**held, fields=kept, snap=sheet.snap, guided=sheet.guided)
 
@@ -76,27 +81,42 @@ def _key(document: SceneDocument, sheet: Sheet) -> str:
     return digest.hexdigest()
 
 
+_ERROR = "estimated_error"
+"""The name of the expected error among the arrays of an adapted sheet."""
+
+
+def _warn_of_error(error: float, elements: int) -> None:
+    """Warns of a large error of the elements' wall, which falls with the root of their number."""
+    if error > _DOUBTFUL:
+        wanted = int(float(f"{elements * (error / _GOOD) ** 2:.1g}"))
+        problem = f"is too few elements for this wall: it is uncertain by about {100 * error:.0f} %"
+        warn_of(problem, f"allow about {wanted} for {100 * _GOOD:.0f} %", key="parison.adapt.elements", value=elements)
+
+
 def _arrays(sheet: Sheet) -> Arrays:
     """A sheet as named arrays."""
     held = {"positions": sheet.positions, "triangles": sheet.triangles, "clamped": sheet.clamped, "fixed": sheet.fixed}
     return sheet.fields | held
 
 
-def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Report | None) -> Sheet:
-    """The sheet after all passes."""
+def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Report | None) -> Arrays:
+    """The sheet after all passes, and the error that is expected of its wall, as named arrays."""
     wanted = document.model.parison.adapt
     assert wanted is not None
     mesher.load_mmg()
+    expected = 0.0
     for number in range(1, wanted.passes + 1):
         scene = files.build_unchecked(document, store, sheet)
         result = _run_quietly(scene, store)
         _check_end(result, number)
+        errors, weight = size_field.element_errors(scene, result), np.asarray(scene.tables.sheet.area, float)
+        error = float(np.sqrt(np.average(np.square(errors), weights=weight)))
         if report is not None:
-            errors, weight = size_field.element_errors(scene, result), np.asarray(scene.tables.sheet.area, float)
-            report(number, sheet, float(np.sqrt(np.average(np.square(errors), weights=weight))))
-        lines = size_field.edge_lines(scene, result)
+            report(number, sheet, error)
+        lines, before = size_field.edge_lines(scene, result), len(sheet.triangles)
         sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), wanted.elements, lines)
-    return sheet
+        expected = error * float(np.sqrt(before / len(sheet.triangles)))
+    return {**_arrays(sheet), _ERROR: np.array(expected)}
 
 
 def _run_quietly(scene: Scene, store: Store | None) -> Result:

@@ -14,7 +14,7 @@ import pytest
 import jaxform
 from benchmarks.accuracy import cases
 from jaxform.cli import main
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, InputWarning
 from jaxform.io import adaptation, files, geometry, scene_rewriting
 from jaxform.model.scene import Scene
 
@@ -129,6 +129,20 @@ def test_a_mesh_of_another_sheet_is_refused(tmp_path: Path) -> None:
     (tmp_path / "adapted.toml").write_text(text)
     with pytest.raises(InputError, match=r"parison\.mesh.*not a mesh of this sheet.*run `jaxform adapt` again"):
         files.build(files.read_scene(tmp_path / "adapted.toml"))
+
+
+def test_too_few_elements_are_a_warning_each_time(tmp_path: Path) -> None:
+    document = files.read_scene(_write(tmp_path, "adapt = { elements = 20, passes = 1 }", elements=20))
+    words = (
+        r"parison\.adapt\.elements = (\d+): is too few elements for this wall: .* by about (\d+) %; allow about (\d+)"
+    )
+    for _ in range(2):  # made, and kept from then on
+        with pytest.warns(InputWarning, match=words) as caught:
+            geometry.build_sheet(document)
+        found = re.search(words, str(caught[0].message))
+        assert found is not None
+        used, percent, wanted = (int(x) for x in found.groups())
+        assert used <= 20 and percent >= 10 and wanted >= 4 * used
 
 
 def test_a_run_that_stops_has_no_mesh(tmp_path: Path) -> None:
