@@ -93,9 +93,7 @@ def _classify(mold: Mesh, drape: bool | None, direction: Array | None) -> tuple[
     patches.refuse_bottles(mold)
     kinds.refuse_tubes(mold)
     is_male, doubt, completion = kinds.classify(mold)
-    if is_male and bottles.is_bottle(mold):
-        doubt = "a round body with a neck, as the inside of a bottle: --process stretch-blow blows it from a preform"
-    return is_male, doubt, completion
+    return is_male, (bottles.describe_bottle(mold) if is_male else "") or doubt, completion
 
 
 def _draft_cavity(

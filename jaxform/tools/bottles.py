@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -114,7 +115,7 @@ def find_body(mesh: Mesh) -> BottleBody:
     """
     outside = find_outside(mesh)
     opened, axis, rim, low, cut = outside
-    if handles := topology.count_handles(opened.triangles):
+    if (handles := topology.count_handles(opened.triangles)) > 0:
         problem = f"has {handles} handle{'s' * (handles > 1)}, or holes through it, around which no preform is blown"
         raise InputError(problem, "use --process extrusion-blow, or leave the handle out of the file")
     x, symmetry = _symmetry(outside)
@@ -291,19 +292,7 @@ def _neck_error(mesh: Mesh, axis: Array) -> float:
     It is the sum of what sections below the end differ from circles and from each other, and of their width over that
     of the surface; infinite where these are as wide as the surface.
     """
-    across = _plane_axes(axis)
-    along = mesh.positions @ axis
-    used = np.unique(mesh.triangles)
-    low, high = along[used].min(), along[used].max()
-    wide, _ = _hull_sizes(mesh.positions[used] @ across.T)
-    one, other = mesh.triangles.ravel(), mesh.triangles[:, [1, 2, 0]].ravel()
-
-    def section(level: float) -> tuple[float, float]:
-        crossed = (along[one] > level) != (along[other] > level)
-        first, second = one[crossed], other[crossed]
-        share = ((level - along[first]) / (along[second] - along[first]))[:, None]
-        return _hull_sizes(((1.0 - share) * mesh.positions[first] + share * mesh.positions[second]) @ across.T)
-
+    section, (low, high), wide = _sections_across(mesh, axis)
     width = 2.0 * np.sqrt(section(high - _TOP * (high - low))[0] / np.pi)
     if not 0.0 < 0.25 * np.pi * width**2 < _NARROW**2 * wide:
         return np.inf
@@ -313,6 +302,30 @@ def _neck_error(mesh: Mesh, axis: Array) -> float:
         return np.inf
     out_of_round = 1.0 - min(_compactness(*each) for each in sections)
     return out_of_round + max(areas) / min(areas) - 1.0 + _PER_WIDTH * float(np.sqrt(areas[0] / wide))
+
+
+def _sections_across(
+    mesh: Mesh, axis: Array
+) -> tuple[Callable[[float], tuple[float, float]], tuple[float, float], float]:
+    """Sections of a surface across an axis (3,).
+
+    Returns:
+        The area [m^2] and perimeter [m] of the hull of the section at a level, as a function of it; the levels [m] of
+        both ends; the area [m^2] of the hull of the surface seen along the axis.
+    """
+    across = _plane_axes(axis)
+    along = mesh.positions @ axis
+    used = np.unique(mesh.triangles)
+    wide, _ = _hull_sizes(mesh.positions[used] @ across.T)
+    one, other = mesh.triangles.ravel(), mesh.triangles[:, [1, 2, 0]].ravel()
+
+    def section(level: float) -> tuple[float, float]:
+        crossed = (along[one] > level) != (along[other] > level)
+        first, second = one[crossed], other[crossed]
+        share = ((level - along[first]) / (along[second] - along[first]))[:, None]
+        return _hull_sizes(((1.0 - share) * mesh.positions[first] + share * mesh.positions[second]) @ across.T)
+
+    return section, (float(along[used].min()), float(along[used].max())), wide
 
 
 def _refine_axis(mesh: Mesh, axis: Array) -> Array:
@@ -476,7 +489,8 @@ _LEVELS = 400  # along the axis, and along the radius, at which the outside is f
 _ROUND = 0.04  # of the radius, its variation around the axis, root mean square, in a body of revolution at most
 _FINE = 0.002  # of the body's length, by which a simplified profile deviates at most
 _NECK_END = 0.1  # of the length, in which a bottle has its neck
-_TIP, _NARROW_NECK = 0.1, 0.6  # of the largest radius, between which the radius of a neck is
+_HINT_ERROR, _BASE = 0.35, 0.97  # of the neck of what looks like a bottle; width of its base over its own, if short
+_TIP, _NARROW_NECK = 0.1, 0.65  # of the largest radius, between which the radius of a neck is
 _ENDS = 1e-6  # of the length, left out at both ends, where caps are
 
 
@@ -530,15 +544,32 @@ def find_revolution(mesh: Mesh) -> Revolution:
     return _from_neck(corners, middle, axis, outside, variation)
 
 
-def is_bottle(mesh: Mesh) -> bool:
-    """True for a long body of revolution whose one end is a neck: narrow, but no tip."""
+def describe_bottle(mesh: Mesh) -> str:
+    """What makes a solid look like a bottle, and the process that blows it; empty for what does not.
+
+    A bottle has a narrow neck, and a handle, a length of twice its mean radius at least, or a base narrower than its
+    body, which a buck has not.
+    """
     try:
-        found = find_revolution(mesh)
+        opened, axis, _, low, cut = find_outside(mesh)
     except InputError:
-        return False
-    near = found.profile[found.profile[:, 1] <= _NECK_END * found.length, 0]
-    narrow = _TIP * found.radius <= near.min() <= near.max() <= _NARROW_NECK * found.radius
-    return bool(narrow and found.length >= 2.0 * found.radius)
+        return ""
+    section, (bottom, top), area = _sections_across(opened, axis)
+    levels = (top - _TOP * (top - bottom), bottom + _TOP * (top - bottom))
+    wide, neck, base = (float(np.sqrt(each / np.pi)) for each in (area, *(section(level)[0] for level in levels)))
+    handle = topology.count_handles(opened.triangles) > 0
+    if not (_TIP * wide <= neck <= _NARROW_NECK * wide and _neck_error(opened, axis) <= _HINT_ERROR):
+        return ""
+    if not (handle or cut - low >= 2.0 * wide or base <= _BASE * wide):
+        return ""
+    if handle:
+        return "a body with a neck and a handle, as a bottle: --process extrusion-blow blows it from a tube"
+    try:
+        shape = "round " if find_revolution(mesh).variation <= _ROUND else ""
+    except InputError:
+        shape = ""
+    blown = "--process stretch-blow blows it from a preform, extrusion-blow from a tube"
+    return f"a {shape}body with a neck, as the inside of a bottle: {blown}"
 
 
 def _in_bottle_frame(points: Array, middle: Array, axis: Array) -> Array:

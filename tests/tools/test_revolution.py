@@ -9,6 +9,7 @@ from jaxform.core.errors import InputError
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import bottles, molds
+from tests.cli.test_new_extrusion import squat
 
 pytestmark = pytest.mark.quick
 
@@ -57,16 +58,23 @@ def test_bodies_that_are_not_round_are_refused() -> None:
             bottles.find_revolution(meshes.weld(Mesh(shape.vertices, shape.triangles)))
 
 
-def test_a_cone_a_cup_and_a_box_are_no_bottles() -> None:
+def test_a_cone_a_cup_a_box_and_a_stepped_buck_are_no_bottles() -> None:
     cup, cone = [[0.0, 0.0], [0.03, 0.0], [0.025, 0.1], [0.0, 0.1]], [[0.0, 0.0], [0.03, 0.0], [0.0, 0.1]]
-    shapes = [molds.box_insert(), *(molds.revolved(profile=profile, segments=48) for profile in (cup, cone))]
-    assert bottles.is_bottle(_bottle((30, 0, 0)))
-    assert not any(bottles.is_bottle(meshes.weld(Mesh(shape.vertices, shape.triangles))) for shape in shapes)
+    steps = [[0.0, 0.0], [0.06, 0.0], [0.058, 0.03], [0.02, 0.032], [0.019, 0.06], [0.0, 0.06]]
+    shapes = [molds.box_insert(), *(molds.revolved(profile=profile, segments=48) for profile in (cup, cone, steps))]
+    assert "round body with a neck" in bottles.describe_bottle(_bottle((30, 0, 0)))
+    assert not any(bottles.describe_bottle(meshes.weld(Mesh(shape.vertices, shape.triangles))) for shape in shapes)
 
 
-def test_simplified_line_keeps_corners_and_its_tolerance() -> None:
-    rank = np.linspace(0.0, 1.0, 101)
-    line = np.stack([np.minimum(rank, 0.5), np.maximum(rank, 0.5) + 0.001 * np.sin(40.0 * rank)], axis=1)
-    kept = bottles.simplify(line, 0.003)
-    assert len(kept) < 8 and np.abs(kept - [0.5, 0.5]).sum(1).min() < 0.02
-    np.testing.assert_array_equal(kept[[0, -1]], line[[0, -1]])
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("jar", "a round body with"),
+        ("flask", "a body with a neck,"),
+        ("jug", "and a handle"),
+    ],
+)
+def test_bottles_that_are_wider_than_tall_and_jugs_look_like_bottles(kind: str, words: str) -> None:
+    mesh = squat(kind)
+    found = bottles.describe_bottle(Mesh(1e-3 * mesh.positions, mesh.triangles, {}))
+    assert words in found and ("stretch-blow" in found) == (kind != "jug")
