@@ -38,6 +38,12 @@ class ReverseWindow(NamedTuple):
         velocity_step: Time step of each velocity update (steps + 1,) [s]; 0 beyond the last.
         length: Step length [s].
         count: Steps taken.
+        before: Positions of nodes that landed, before that step (3, place) [m].
+        stored: Stored velocities before each step and after the last (3, (1 + steps) place) [m/s], one step's after
+            another's; None without damping, whose steps are always inverted.
+        keeps: True where these are used, because the steps cannot be inverted.
+        curved: `ContactStep.curve` of nodes that land on curved paths, and their position after the landing's step
+            (6, place) [m]; None otherwise.
     """
 
     scene: Scene
@@ -51,33 +57,17 @@ class ReverseWindow(NamedTuple):
     velocity_step: jax.Array
     length: jax.Array
     count: jax.Array
-
-
-class ReverseStart(NamedTuple):
-    """The start of the reverse steps, in packed order.
-
-    Attributes:
-        before: Positions of nodes that landed, before that step (3, place) [m].
-        velocities: Velocities after the last step (3, place) [m/s]; of nodes that landed, those before the impact.
-        speeds: Stored velocities before each step and after the last (3, (1 + steps) place) [m/s], one step's after
-            another's; None without damping, whose steps are always inverted.
-        keeps: True where these are used, because the steps cannot be inverted.
-        curved: Where nodes land on curved paths, their `ContactStep.curve` and position after the landing's step
-            (6, place) [m]; None otherwise.
-    """
-
     before: jax.Array
-    velocities: jax.Array
-    speeds: jax.Array | None = None
+    stored: jax.Array | None = None
     keeps: jax.Array | bool = False
     curved: jax.Array | None = None
 
-    def velocities_before(self, number: jax.Array) -> ArraySlice | None:
+    def stored_velocities(self, number: jax.Array) -> ArraySlice | None:
         """Stored velocities before a step; where they are not used, always the same part of the array: that is fast."""
-        if self.speeds is None:
+        if self.stored is None:
             return None
-        places = self.before.shape[1]
-        return ArraySlice(self.speeds, jnp.where(self.keeps, number, 0) * places, places)
+        places = self.mass.size
+        return ArraySlice(self.stored, jnp.where(self.keeps, number, 0) * places, places)
 
 
 class BackwardNodes(NamedTuple):
@@ -128,7 +118,6 @@ def _velocities_before(
     node: tuple[jax.Array, Any],
     velocity_step: jax.Array,
     now: ReverseWindow,
-    end: ReverseStart,
 ) -> Vector:
     """Velocities before a step, three times (n,), by inverting its velocity update; or the stored ones.
 
@@ -139,7 +128,6 @@ def _velocities_before(
         node: True where nodes are free in the step, and their compliance [1/kg].
         velocity_step: Time step of the velocity update [s].
         now: Constants of the window.
-        end: Start of the reverse steps.
     """
     flies, compliance = node
     half = _half_damping(velocity_step, now.scene.solver.damping)
@@ -151,7 +139,7 @@ def _velocities_before(
 
     found = [invert_update(*each) for each in zip(after, nodal, compliance, strict=True)]
     if speeds is not None:
-        found = [jnp.where(end.keeps, old, v) for old, v in zip(speeds, found, strict=True)]
+        found = [jnp.where(now.keeps, old, v) for old, v in zip(speeds, found, strict=True)]
     return vector(found)
 
 
@@ -168,7 +156,6 @@ def add_loss_cotangents(
     step: AdjointStep,
     damping: jax.Array,
     now: ReverseWindow,
-    end: ReverseStart,
     loss: jax.Array,
 ) -> tuple[BackwardNodes, Corners]:
     """Adds the contributions of a step's damping loss to the cotangents of its velocities and force.
@@ -182,13 +169,13 @@ def add_loss_cotangents(
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
         flies = landed > number
         nodal = add_gravity(gather_shares(forces, own), mass, now.scene.solver.gravity)
-        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now, end)
+        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now)
         share = jnp.where(flies, 0.5 * loss * velocity_step * mass * damping, 0.0)
         more = [share * (v + w) for v, w in zip(before, after, strict=True)]
         more = [more, force_cotangent(more, compliance, velocity_step, now)]
         return [[x + own for x, own in zip(*pair, strict=True)] for pair in zip(old, more, strict=True)], []
 
-    kept = end.velocities_before(number + 1)
+    kept = now.stored_velocities(number + 1)
     inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, nodes.speeds, kept
     into = [nodes.velocities, nodes.force]
     new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
@@ -206,7 +193,7 @@ def add_weight_cotangents(nodes: BackwardNodes, now: ReverseWindow) -> BackwardN
 
 
 def step_nodes_back(
-    nodes: BackwardNodes, corners: Corners, step: AdjointStep, now: ReverseWindow, end: ReverseStart, loss: jax.Array
+    nodes: BackwardNodes, corners: Corners, step: AdjointStep, now: ReverseWindow, loss: jax.Array
 ) -> BackwardNodes:
     """Steps the nodes back by one step, from the cotangents and forces at the elements' corners.
 
@@ -221,7 +208,7 @@ def step_nodes_back(
         flies = landed > number
         both = gather_shares(corners, own)
         pulled, nodal = both[:3], add_gravity(both[3:], mass, now.scene.solver.gravity)
-        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now, end)
+        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now)
         position = [x + own for x, own in zip(position, pulled, strict=True)]
         before, position = materialize((before, position))
         ratio = (1.0 - half) / (1.0 + half)
@@ -239,7 +226,7 @@ def step_nodes_back(
         at = [x - jnp.where(flies, length * v, 0.0) for x, v in zip(at, before, strict=True)]
         return [at, before, position, velocity, power, *more, force], sums
 
-    kept = end.velocities_before(number + 1)
+    kept = now.stored_velocities(number + 1)
     inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, kept
     updated = [nodes.at, nodes.speeds, nodes.positions, nodes.velocities, nodes.compliance[None]]
     updated += [nodes.mass[None]] if damping is not None else []
@@ -262,7 +249,6 @@ def rim_end_positions(nodes: BackwardNodes, places: jax.Array) -> jax.Array:
 
 def pull_back_rim(
     nodes: BackwardNodes,
-    before: jax.Array,
     after: jax.Array,
     step: AdjointStep,
     places: jax.Array,
@@ -273,7 +259,6 @@ def pull_back_rim(
 
     Args:
         nodes: Nodes at the earlier step's begin; those that land in it, at its end.
-        before: Positions of nodes that landed, before that step (3, place) [m].
         after: Positions of the rim's ends at the step's end (3, 2, n_edge) [m].
         step: The reverse step.
         places: Places of the rim's ends (2, n_edge).
@@ -286,7 +271,7 @@ def pull_back_rim(
     """
     number, length, velocity_step, _ = step
     landed = now.landing_step[places]
-    begin = jnp.where(landed == number, rim_ends(before, places), rim_ends(nodes.at, places))
+    begin = jnp.where(landed == number, rim_ends(now.before, places), rim_ends(nodes.at, places))
     origin = now.packed.elements.origin
     swept, pull = jax.vjp(lambda begin, after: rim_swept_volume(begin, after, origin), begin, after)
     early, late = pull(cotangent)
@@ -326,12 +311,10 @@ def _gain_of_curve(
     return (1.0 - half) * curve / length + 2.0 * half * velocity
 
 
-def displace_landed_nodes(
-    nodes: BackwardNodes, step: AdjointStep, now: ReverseWindow, end: ReverseStart
-) -> BackwardNodes:
+def displace_landed_nodes(nodes: BackwardNodes, step: AdjointStep, now: ReverseWindow) -> BackwardNodes:
     """Places nodes that return to their landing points in a step where they are at its begin, on a curved path."""
-    assert end.curved is not None
-    return nodes._replace(at=jnp.where(now.landing_step == step[0] - 1, end.curved[3:], nodes.at))
+    assert now.curved is not None
+    return nodes._replace(at=jnp.where(now.landing_step == step[0] - 1, now.curved[3:], nodes.at))
 
 
 def split_point_cotangents(nodes: BackwardNodes, step: AdjointStep, now: ReverseWindow) -> BackwardNodes:
@@ -345,7 +328,6 @@ def split_point_cotangents(nodes: BackwardNodes, step: AdjointStep, now: Reverse
 
 def pull_back_landings(
     nodes: BackwardNodes,
-    end: ReverseStart,
     step: AdjointStep,
     at: tuple[jax.Array, jax.Array],
     mold: Mold,
@@ -393,9 +375,9 @@ def pull_back_landings(
 
         # All is read before anything is written (docs/explanation/kernels.md).
         old = materialize(jax.tree.map(read_node, nodes._replace(damping=None, gravity=None, vertices=None)))
-        begin, curved = read_node(end.before), None
-        if end.curved is not None:
-            curve, damping = read_node(end.curved)[:3], now.scene.solver.damping
+        begin, curved = read_node(now.before), None
+        if now.curved is not None:
+            curve, damping = read_node(now.curved)[:3], now.scene.solver.damping
             curved = _gain_of_curve(curve, damping, old.speeds, velocity_step, length), damping
         triangle = mold.triangles[jnp.abs(read_node(wall)[0]) - 1]
         after = begin + length * old.speeds

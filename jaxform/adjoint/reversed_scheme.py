@@ -18,7 +18,6 @@ import jax.numpy as jnp
 
 from jaxform.adjoint.backward import (
     BackwardNodes,
-    ReverseStart,
     ReverseWindow,
     add_loss_cotangents,
     add_rim_cotangents,
@@ -149,15 +148,18 @@ def _recompute_window(
     return window(state, scene, discrete, schedule)
 
 
-def _begin_reverse_steps(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
-    """The start of the reverse steps; steps that cannot be inverted are recomputed from the begin."""
+def _begin_reverse_steps(kept: _WindowResiduals, now: ReverseWindow) -> tuple[ReverseWindow, jax.Array]:
+    """The window with stored velocities, if its steps cannot be inverted, and velocities (3, place) [m/s] after them.
+
+    Steps that cannot be inverted are recomputed from the window's begin. The velocities of nodes that landed are those
+    before the impact.
+    """
     packed, elements, damping = now.packed, now.packed.elements, now.scene.solver.damping
-    begin, end = packed.pack(kept.positions), packed.pack(kept.end)
+    begin, end = now.before, packed.pack(kept.end)
     velocities = jnp.where(packed.exists, packed.pack(kept.velocities), 0.0)
-    curved = None if kept.curved is None else packed.pack(kept.curved)
     if damping is None:
-        return ReverseStart(begin, velocities, curved=curved)
-    beyond = None if curved is None else curved[3:]
+        return now, velocities
+    beyond = None if now.curved is None else now.curved[3:]
     keeps = ~_is_reversible(damping, (kept.time, kept.before, kept.length), kept.count)
     places, count = now.mass.size, jnp.where(keeps, now.count, 0)
 
@@ -186,7 +188,7 @@ def _begin_reverse_steps(kept: _WindowResiduals, now: ReverseWindow) -> ReverseS
     speeds = jnp.zeros((3, (SHORT_WINDOW + 1) * places), begin.dtype).at[:, :places].set(velocities)
     carry = jnp.int32(0), begin, velocities, begin, speeds, allocate_corner_forces(begin, elements)
     carry = jax.lax.while_loop(lambda carry: carry[0] < count, advance, carry)
-    return ReverseStart(carry[3], carry[2], carry[4], keeps, curved)
+    return now._replace(before=carry[3], stored=carry[4], keeps=keeps), carry[2]
 
 
 def _pull_back_window(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
@@ -212,6 +214,8 @@ def _pull_back_window(kept: _WindowResiduals, cotangents: Cotangents, end: State
         velocity_step=jnp.append(jnp.where(taken, velocity_steps(timing, longest), 0.0), 0.0),
         length=kept.length,
         count=kept.count,
+        before=packed.pack(kept.positions),
+        curved=None if kept.curved is None else packed.pack(kept.curved),
     )
 
     # The pressure's work is the sum of mean pressure times swept volume: the change of the volume, and the rim's part.
@@ -311,7 +315,8 @@ def _reverse_steps(
 ) -> _ReverseState:
     """The state after all reverse steps, at the window's begin; `volume` has the cotangents of the volumes."""
     scene, packed, elements, of = now.scene, now.packed, now.packed.elements, cotangents.of
-    start, positions, real = _begin_reverse_steps(kept, now), packed.pack(kept.end), now.thickness.dtype
+    now, velocities = _begin_reverse_steps(kept, now)
+    positions, real = packed.pack(kept.end), now.thickness.dtype
     loss = end.account
     rim, places = _rim_cotangents(kept, end, mean), rim_places(scene, kept.mesh, packed)
     thickens = cotangents.want(of[2].thickness)
@@ -331,7 +336,7 @@ def _reverse_steps(
         number=now.count,
         nodes=BackwardNodes(
             at=positions,
-            speeds=start.velocities,
+            speeds=velocities,
             positions=jnp.where(packed.exists, packed.pack(end.nodes.positions), 0.0),
             velocities=jnp.where(packed.exists, packed.pack(end.nodes.velocities), 0.0),
             force=jnp.zeros_like(positions),
@@ -341,7 +346,7 @@ def _reverse_steps(
             damping=jnp.zeros((), real),
             gravity=None if scene.solver.gravity is None else jnp.zeros(3, real),
             vertices=None if vertices is None else jnp.zeros_like(vertices),
-            point=None if start.curved is None else jnp.zeros_like(positions),
+            point=None if now.curved is None else jnp.zeros_like(positions),
         ),
         corners=allocate_corner_forces(positions, elements) + allocate_corner_forces(positions, elements),
         summed=zero_sums(first, wanted),
@@ -366,7 +371,7 @@ def _reverse_steps(
         if damping is not None:
             nodes, corners = lax_cond_once(
                 loss.damping_loss != 0.0,
-                lambda both: add_loss_cotangents(*both, load, step, damping, now, start, loss.damping_loss),
+                lambda both: add_loss_cotangents(*both, load, step, damping, now, loss.damping_loss),
                 (nodes, corners),
             )
         nodes = add_weight_cotangents(nodes, now)
@@ -379,22 +384,22 @@ def _reverse_steps(
         if varies:
             law = {name: carry.law[name] + more for name, more in zip(single, sums, strict=True)}
         after = None if places is None else rim_end_positions(nodes, places)
-        nodes = step_nodes_back(nodes, corners, step, now, start, loss.damping_loss)
-        if start.curved is not None:
-            displace = functools.partial(displace_landed_nodes, step=step, now=now, end=start)
+        nodes = step_nodes_back(nodes, corners, step, now, loss.damping_loss)
+        if now.curved is not None:
+            displace = functools.partial(displace_landed_nodes, step=step, now=now)
             nodes = lax_cond_once(lands[n - 2], displace, nodes)
         early, swept = None, carry.rim
         if rim is not None and places is not None and after is not None and swept is not None:
-            nodes, early, own = pull_back_rim(nodes, start.before, after, step, places, now, rim[n])
+            nodes, early, own = pull_back_rim(nodes, after, step, places, now, rim[n])
             swept = swept.at[n].set(own)
-        if start.curved is not None:
+        if now.curved is not None:
             keep = functools.partial(split_point_cotangents, step=step, now=now)
             nodes = lax_cond_once(lands[n - 2], keep, nodes)
         if mold is not None:
             back_over = functools.partial(pull_back_landings, mold=mold, now=now, loss=loss.contact_loss)
             nodes = lax_cond_once(
                 lands[n - 1],
-                lambda nodes: back_over(nodes, start, step, (packed.pack(kept.wall), kept.time)),
+                lambda nodes: back_over(nodes, step, (packed.pack(kept.wall), kept.time)),
                 nodes,
             )
         if early is not None and places is not None:

@@ -64,7 +64,6 @@ class Adjoint:
         raise NotImplementedError
 
 
-@dataclass(frozen=True)
 class Reversed(Adjoint):
     """Inverts the steps of each window from its end, one by one: the fastest strategy, with the least memory.
 
@@ -92,7 +91,6 @@ class Reversed(Adjoint):
         return differentiable_window(state, scene, discrete, first, schedule)
 
 
-@dataclass(frozen=True)
 class Checkpointed(Adjoint):
     """JAX's own derivative of each window, whose steps are recomputed: for any scene.
 
@@ -106,7 +104,6 @@ class Checkpointed(Adjoint):
         return checkpoint(window)(state, scene, discrete, schedule)
 
 
-@dataclass(frozen=True)
 class Stored(Adjoint):
     """JAX's own derivative, with every step stored: for short runs, and to check the other strategies."""
 

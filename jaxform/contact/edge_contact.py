@@ -103,14 +103,6 @@ def no_held_sides(room: int, real: jnp.dtype) -> HeldSides:
     )
 
 
-class KnownSides(NamedTuple):
-    """Sides that a search has found to be held at the window's end: ends, edge and step, as in `HeldSides`."""
-
-    ends: jax.Array
-    edge: jax.Array
-    step: jax.Array
-
-
 # Intersections of sides and edges.
 
 
@@ -334,7 +326,7 @@ def _add_sides(
 
 def hold_known_sides(
     held: HeldSides,
-    known: KnownSides,
+    known: HeldSides,
     paths: SidePaths,
     surface: ContactSurface,
     edges: jax.Array,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jaxform.contact import edge_contact
 from jaxform.contact.broad_phase import Candidates
-from jaxform.contact.edge_contact import HeldNodes, KnownSides, SidePaths
+from jaxform.contact.edge_contact import HeldNodes, HeldSides, SidePaths
 from jaxform.contact.sliding import lying_nodes
 from jaxform.dynamics.window_state import WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once
@@ -141,7 +141,7 @@ def search_sides(
 
 
 def replay_sides(
-    moved: WindowState, landed: WindowState, length: jax.Array, known: KnownSides, scene: Scene, frames: Frames
+    moved: WindowState, landed: WindowState, length: jax.Array, known: HeldSides, scene: Scene, frames: Frames
 ) -> WindowState:
     """The window state with the known sides that meet an edge in this step; differentiable."""
     held = landed.held

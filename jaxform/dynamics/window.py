@@ -19,7 +19,6 @@ import jax.numpy as jnp
 from jaxform.contact import sticking
 from jaxform.contact.broad_phase import CandidateLists, Candidates, allocate_lists, initial_check
 from jaxform.contact.candidates import list_candidates
-from jaxform.contact.edge_contact import KnownSides
 from jaxform.contact.facet_slip import begin_facets
 from jaxform.dynamics.contact_step import any_missed, to_tool_frame
 from jaxform.dynamics.edge_step import list_sides
@@ -242,16 +241,15 @@ def _replay_steps(
     if scene.surfaces:
         found, searched, _ = _advance(*jax.lax.stop_gradient((state, scene, data, steps)), None, False, scene.slides)
         chosen = sticking.encode_landing(found.nodes.wall, found.nodes.tool, scene.surfaces)
-        held = found.held
-        sides = None if held is None else KnownSides(held.ends, held.edge, held.step)
-        landings = KnownContact(found.landing_step, chosen, found.count, found.record, sides)
+        landings = KnownContact(found.landing_step, chosen, found.count, found.record, found.held)
         known, searched = save_decision((landings, searched))
         moving = dataclasses.replace(moving, halted=known.count == 0)
-        if moving.held is not None and held is not None and known.sides is not None:
-            count = jax.lax.stop_gradient(held.count)
-            moving = dataclasses.replace(
-                moving, held=dataclasses.replace(moving.held, **known.sides._asdict(), count=count)
+        if moving.held is not None and known.sides is not None:
+            sides = known.sides
+            held = dataclasses.replace(
+                moving.held, ends=sides.ends, edge=sides.edge, step=sides.step, count=sides.count
             )
+            moving = dataclasses.replace(moving, held=held)
     moving = _scan_in_chunks(lambda moving, own: (step(moving, own, scene, data, known), None), moving, steps)
     return moving, searched
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jaxform.adapt.remeshing import initial_mesh
 from jaxform.contact.broad_phase import PAIRS_PER_NODE, BroadPhaseCheck
-from jaxform.contact.edge_contact import HeldSides, KnownSides, no_held_sides
+from jaxform.contact.edge_contact import HeldSides, no_held_sides
 from jaxform.contact.facet_slip import KnownFacets
 from jaxform.contact.sliding import ToolEnergies
 from jaxform.contact.sticking import FirstHits
@@ -117,14 +117,15 @@ class KnownContact(NamedTuple):
         chosen: Triangle on which it landed (place,), numbered over all surfaces.
         count: Steps taken.
         record: All landings, where nodes may land more than once; else None.
-        sides: Element sides held at edges of tools at the window's end; None where none can be.
+        sides: Element sides held at edges of tools at the window's end, whose ends, edges and steps are used again;
+            None where none can be.
     """
 
     step: jax.Array
     chosen: jax.Array
     count: jax.Array
     record: jax.Array | None = None
-    sides: KnownSides | None = None
+    sides: HeldSides | None = None
 
 
 ContactSearch = tuple[jax.Array, jax.Array, jax.Array]
