@@ -6,12 +6,10 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import format_place, warn_of
-from jaxform.core.pytree import as_real
 from jaxform.loads import Gas, list_gases
 from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
@@ -49,9 +47,7 @@ def motion_key(tool: Mold, name: str) -> str:
 
 def offsets_of(tool: Mold, times: Array) -> Array:
     """Displacements (n, 3) [m] of a tool at times (n,) [s]."""
-    if tool.motion is None:
-        return np.zeros((len(times), 3))
-    return np.asarray(jax.vmap(tool.motion.offset)(as_real(times)), float)
+    return np.zeros((len(times), 3)) if tool.motion is None else tool.motion.offset_at(times)
 
 
 def end_of_way(scene: Scene, tool: Mold) -> float:

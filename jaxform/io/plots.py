@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import format_coordinate
-from jaxform.core.pytree import as_real, parameter_ranges
+from jaxform.core.pytree import parameter_ranges
 from jaxform.io import canvas
 from jaxform.io.canvas import MINIMUM, Line, PartPicture, draw, new_figure, save
 from jaxform.io.plausibility import offsets_of
@@ -415,7 +415,7 @@ def _tool_lines(scene: Scene) -> Iterator[tuple[str, str, float, str, Array]]:
         name, faces = tool.name or "mold", tool_faces(scene, tool)
         yield name, color, 1.8, "-", faces
         if tool.motion is not None:
-            end = np.asarray(tool.motion.offset(as_real(float(scene.solver.end_time))), float)
+            end = tool.motion.offset_at(float(scene.solver.end_time))
             farthest = _farthest(tool.motion, float(scene.solver.end_time))
             if np.linalg.norm(farthest - end) > _MOVED * np.linalg.norm(farthest):
                 yield f"{name}, farthest", color, 1.2, ":", faces + farthest

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +13,7 @@ from jaxform.core.pytree import as_real
 from jaxform.io.canvas import ProcessHistory
 from jaxform.io.plausibility import offsets_of
 from jaxform.io.surfaces import tool_colors
-from jaxform.loads import TwoSidedLoad
+from jaxform.loads import TwoSidedLoad, sample_pressure
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 from jaxform.results.tool_contact import contact_shares, contact_shares_over_time, tool_label
@@ -89,7 +88,7 @@ def pressures_over_time(scene: Scene, result: Result, time: Array) -> Array:
         return np.interp(time, *result.pressures)
     if scene.pressure.follows_volume:
         return np.full(len(time), np.nan)
-    return np.asarray(jax.vmap(lambda moment: scene.pressure.at(moment, None))(as_real(time)), float)
+    return np.asarray(sample_pressure(scene.pressure, as_real(time)), float)
 
 
 def _contact(result: Result, time: Array, count: int) -> Array:

@@ -10,6 +10,7 @@ from jaxform.loads.loading import (
     loading,
     make_pressure,
     next_pressure,
+    sample_pressure,
 )
 
 __all__ = [
@@ -26,4 +27,5 @@ __all__ = [
     "make_pressure",
     "make_two_sided_load",
     "next_pressure",
+    "sample_pressure",
 ]

@@ -83,10 +83,11 @@ class Loading:
             end_time: End of the process [s].
             volume: Initially enclosed volume [m^3].
         """
-        length, same = as_real(end_time / (_LOOKS - 1)), as_real(volume)
-        now, found = first_pressure(self, same), []
+        length, same = end_time / (_LOOKS - 1), as_real(volume)
+        now, found = _first_sample(self, same), []
         for look in range(_LOOKS):
-            now = next_pressure(self, now, Interval(look * length, length * (look > 0), same, same))
+            interval = Interval(as_real(look * length), as_real(length * (look > 0)), same, same)
+            now = _next_sample(self, now, interval)
             found.append(now.pressure)
         return np.asarray(found, float)
 
@@ -114,6 +115,16 @@ def next_pressure(loading: Loading, last: LoadState, interval: Interval) -> Load
     """The state of a loading at the end of an interval, from the `last` one at its start."""
     state = None if last.state is None else jax.tree.map(_array, loading.after(last.state, interval))
     return LoadState(_pressure(loading, interval.time, interval.volume, state), state)
+
+
+# On the host, operation by operation, they would be some fifty programs.
+_first_sample, _next_sample = jax.jit(first_pressure), jax.jit(next_pressure)
+
+
+@jax.jit
+def sample_pressure(loading: Loading, times: jax.Array) -> jax.Array:
+    """Pressures (n,) [Pa] at times (n,) [s] of a loading that does not follow the volume."""
+    return jax.vmap(lambda time: loading.at(time, None))(times)
 
 
 def _array(values: Any) -> jax.Array:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import format_place
-from jaxform.core.pytree import as_real
 from jaxform.model.scene import Scene
 from jaxform.sheet.state import Status
 from jaxform.tools import gaps
@@ -180,7 +179,7 @@ def _first_gap(scene: Scene, push: float, places: Array) -> float:
 
 def mold_offset(result: Result, scene: Scene) -> Array:
     """Displacement of the mold (3,) [m] at the end of the run; its grid is at the initial position."""
-    return np.zeros(3) if scene.motion is None else np.asarray(scene.motion.offset(as_real(float(result.time))), float)
+    return np.zeros(3) if scene.motion is None else scene.motion.offset_at(float(result.time))
 
 
 def _sides(result: Result, scene: Scene, gap: Gap) -> Array:

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.pytree import as_real
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 from jaxform.tools.mold import Mold
@@ -139,7 +138,7 @@ def measure_tool_penetration(result: Result, scene: Scene, number: int) -> Penet
     if result.tool_wall is None or not np.isfinite(positions).all():
         return Penetration(0.0, 0.0, np.zeros(3))
     motion, first = tool.motion, int(scene.mold is not None)
-    offset = np.zeros(3) if motion is None else np.asarray(motion.offset(as_real(float(result.time))), float)
+    offset = np.zeros(3) if motion is None else motion.offset_at(float(result.time))
     wall = np.where(np.asarray(result.tool) == first + number, np.asarray(result.tool_wall), 0)
     found = penetration(
         positions - offset, np.asarray(result.triangles)[np.asarray(result.used)], wall, tool, grid=grid

@@ -46,7 +46,7 @@ class Mold:
     def vertices_at(self, time: float) -> NDArray[np.float64]:
         """The vertices (n_vertex, 3) [m] at a time [s]; on the host."""
         places = np.asarray(self.vertices, float)
-        return places if self.motion is None else places + np.asarray(self.motion.offset(as_real(time)), float)
+        return places if self.motion is None else places + self.motion.offset_at(time)
 
     def where_it_turns(self) -> NDArray[np.float64]:
         """Its corners (n, 3) [m] at all times between which it moves one way; on the host.
@@ -148,6 +148,11 @@ class Motion:
         far += width[k] * s * (1.0 - s) * ((1.0 - s) * slope[k] - s * slope[k + 1])
         return far * self.direction
 
+    def offset_at(self, time: ArrayLike) -> NDArray[np.float64]:
+        """Displacements (..., 3) [m] at times (...) [s]; on the host, by one program for all its knots."""
+        times = np.asarray(time, float)
+        return np.asarray(_offsets(self, as_real(times.ravel())), float).reshape(*times.shape, 3)
+
     def highest_speed(self) -> jax.Array:
         """A bound on its speed [m/s]: between two knots a cubic is at most three times as steep as their line."""
         return FASTEST * jnp.max(jnp.abs(jnp.diff(self.displacement) / jnp.diff(self.time)))
@@ -180,6 +185,12 @@ class Motion:
         length = end - begin
         still = length <= 0.0
         return ToolFrame(after, jnp.where(still, 0.0, (after - before) / jnp.where(still, 1.0, length)))
+
+
+@jax.jit
+def _offsets(motion: Motion, times: jax.Array) -> jax.Array:
+    """Displacements (n, 3) [m] at times (n,) [s]; operation by operation they would be some thirty programs."""
+    return jax.vmap(motion.offset)(times)
 
 
 class ToolFrame(NamedTuple):

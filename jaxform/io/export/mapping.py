@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError, format_extent, warn_of
-from jaxform.core.pytree import as_real
 from jaxform.io import previous_results
 from jaxform.io.export.wall import WallSurface
 from jaxform.mesh import meshes, topology
@@ -279,7 +278,7 @@ def read_pose(folder: Path) -> Pose | None:
         ended = previous_results.read_summary(folder).get("time")
         if not isinstance(ended, float | int) or not abs(ended) <= meshes.LARGEST:
             ended = document.model.solver.end_time
-        shift = shift + np.asarray(motion.offset(as_real(ended)), float)
+        shift = shift + motion.offset_at(ended)
     paths = [table.path] if isinstance(table.path, str) else table.path
     located = tuple(disk.expand_path(path, document.folder) for path in paths)
     return Pose(table.scale, rotation(np.array(table.rotate, float)), shift, located)

@@ -252,8 +252,7 @@ class _Parts:
         """Displacement of a mold or tool (3,) [m] at a time [s], relative to its final position."""
         if motion is None:
             return [0.0, 0.0, 0.0]
-        moments: tuple[Any, ...] = time, self._end
-        there, last = (np.asarray(motion.offset(moment), float) for moment in moments)
+        there, last = motion.offset_at([time, self._end])
         return (there - last).tolist()
 
     def _reorder_elements(self, part: StoredPart) -> StoredPart:
