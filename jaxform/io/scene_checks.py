@@ -12,7 +12,7 @@ from jaxform.core.errors import format_extent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
 from jaxform.io.plausibility import heights_above, warn_of_land, warn_of_motion, warn_of_tools, warn_of_units
 from jaxform.io.surfaces import mirror_points
-from jaxform.loads import TwoSidedLoad
+from jaxform.loads import TwoSidedLoad, list_gases
 from jaxform.mechanics.membrane import equibiaxial_energy
 from jaxform.mesh import outlines, raster, topology
 from jaxform.model.mesh_connectivity import warn_of_connectivity
@@ -209,7 +209,7 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
     _warn_of_load(scene, seen, file)
     warn_of_units(scene, file)
     if seen.mold is not None:
-        _warn_of_mold(seen, file, getattr(tables, "mold", None), sheet, moves=scene.motion is not None)
+        _warn_of_mold(scene, seen, file, getattr(tables, "mold", None), sheet)
     warn_of_motion(scene, file)
     if tables is not None:
         warn_of_land(scene, tables, file)
@@ -282,7 +282,7 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
     warn_of(what, remedy, key=key, value=value, file=file)
 
 
-def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, moves: bool) -> None:
+def _warn_of_mold(scene: Scene, seen: Survey, file: str, table: Any, sheet_table: Any) -> None:
     """Warns once, for a mold in other units lies elsewhere too; a moving one may lie anywhere at first."""
     assert seen.mold is not None
     ratio = box_size(seen.mold) / (box_size(seen.sheet) or 1.0)
@@ -290,10 +290,10 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, move
     if not 1 / _ALIKE <= ratio <= _ALIKE:
         scales = getattr(table, "scale", None), getattr(sheet_table, "scale", None)
         _tell_of_size("mold", "mold", ratio, *scales, boxes, file)
-    elif moves:
+    elif scene.motion is not None:
         return
     elif not seen.changes_sign and (seen.exposed >= _EXPOSED or (seen.ahead < _HARDLY <= seen.behind)):
-        _warn_of_side(seen, boxes, file)
+        _warn_of_side(scene, seen, boxes, file)
     elif seen.overlap is not None and seen.overlap + seen.exposed < _HARDLY:
         what = f"seen along the pressure ({seen.direction}), the mold does not face the sheet ({boxes})"
         warn_of(what, "move the mold (mold.translate)", key="mold", file=file)
@@ -335,10 +335,13 @@ def _warn_of_bare(seen: Survey, overlap: float, radius: float, middle: Array, fi
     warn_of(f"{share}, {seen.direction}: {where}, so that nothing stops it there", remedy, key="mold", file=file)
 
 
-def _warn_of_side(seen: Survey, boxes: str, file: str) -> None:
+def _warn_of_side(scene: Scene, seen: Survey, boxes: str, file: str) -> None:
     what = f"the pressure pushes the sheet {seen.direction}, away from the mold"
     share = f"{100 * seen.ahead:.3g} % of its area lies on that side, {100 * seen.behind:.3g} % on the other"
-    remedy = "turn the sign of pressure.value, turn the sheet (parison.flip), or move or turn the mold"
+    gases = list_gases(scene.pressure)
+    turned = "draw a vacuum (gas.supply_pressure below 0), " if any(gas.closed_by == "mold" for gas in gases) else ""
+    turned = turned if gases else "turn the sign of pressure.value, "
+    remedy = f"{turned}turn the sheet (parison.flip), or move or turn the mold"
     warn_of(f"{what}: {share} ({boxes})", remedy, key="mold", file=file)
 
 

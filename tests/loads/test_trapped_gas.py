@@ -199,6 +199,19 @@ def test_air_in_the_mold_keeps_the_sheet_off_it_unless_it_is_vented(tmp_path: Pa
     np.testing.assert_allclose(pulled["thickness"]["mean"], vented["thickness"]["mean"], rtol=1e-2)
 
 
+def test_a_supply_above_0_between_sheet_and_mold_is_told_to_draw(tmp_path: Path) -> None:
+    """It pushes the sheet away from the mold; there is no pressure whose sign could be turned."""
+    file = tmp_path / "cup.toml"
+    file.write_text(
+        _CUP.replace("<load>", f"[gas]\n{_AIR}time = [0.0, 0.05]\nsupply_pressure = 5e4\norifice_area = 1e-6\n")
+    )
+    with pytest.warns(jaxform.InputWarning, match="away from the mold") as told:
+        jaxform.load(file)
+    (words,) = [str(one.message) for one in told if "away from the mold" in str(one.message)]
+    assert "gas.supply_pressure below 0" in words and "pressure.value" not in words
+    assert "e+02 %" not in words
+
+
 def test_two_gases_of_a_file_and_their_numbers_in_a_study(tmp_path: Path) -> None:
     inner = "[[gas]]\ntime = [0.0, 0.05]\nmass_flow = [1e-3, 0.0]\ndead_volume = 2e-5\nadiabatic = true\n"
     file = tmp_path / "cup.toml"
