@@ -418,8 +418,14 @@ def _tool_lines(scene: Scene) -> Iterator[tuple[str, str, float, str, Array]]:
             end = tool.motion.offset_at(float(scene.solver.end_time))
             farthest = _farthest(tool.motion, float(scene.solver.end_time))
             if np.linalg.norm(farthest - end) > _MOVED * np.linalg.norm(farthest):
-                yield f"{name}, farthest", color, 1.2, ":", faces + farthest
-            yield f"{name} at the end", "#a06020" if tool is scene.mold else color, 1.4, "--", faces + end
+                yield f"{name}, farthest", color, 1.2, ":", tool_faces(scene, tool, farthest)
+            yield (
+                f"{name} at the end",
+                "#a06020" if tool is scene.mold else color,
+                1.4,
+                "--",
+                tool_faces(scene, tool, end),
+            )
 
 
 def _farthest(motion: Motion, end: float) -> Array:

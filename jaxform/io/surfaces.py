@@ -165,10 +165,14 @@ def _crosses_planes(scene: Scene, walls: Array) -> bool:
     )
 
 
-def tool_faces(scene: Scene, tool: Mold) -> Array:
-    """The triangles (n, 3, 3) [m] of a tool, with their images in symmetry planes unless it is a whole one."""
+def tool_faces(scene: Scene, tool: Mold, shift: Array | float = 0.0) -> Array:
+    """The triangles (n, 3, 3) [m] of a tool that has moved by a shift (3,) [m], unless it is whole with their images.
+
+    The images in symmetry planes move as such: towards the tool where it moves towards the plane.
+    """
     walls = np.asarray(tool.vertices, float)[np.asarray(tool.triangles)]
-    return walls if _crosses_planes(scene, walls) else np.concatenate(mirror_points(scene, walls))
+    moved = walls + shift
+    return moved if _crosses_planes(scene, walls) else np.concatenate(mirror_points(scene, moved))
 
 
 def _tools(scene: Scene, part: Array, hangs: bool, share: float) -> tuple[list[DrawnSurface], list[DrawnSurface]]:

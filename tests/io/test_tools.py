@@ -296,6 +296,16 @@ def test_check_tells_of_tools_and_draws_them(tmp_path: Path) -> None:
         assert picture.size == (1600, 750)
 
 
+def test_the_image_of_a_tool_moves_to_the_symmetry_plane_as_the_tool_does() -> None:
+    """As the two halves of a mold that close on a tube."""
+    half = _plug(name="half", translate=[0.05, 0.05, -0.06], direction=[-1.0, 0.0, 0.0], displacement=[0.0, 0.03])
+    scene = files.build_unchecked(_document([half], mold=CUP))
+    drawn = {name: faces for name, *_, faces in plots._tool_lines(scene)}
+    for name, (near, far) in {"half": (0.03, 0.07), "half at the end": (0.0, 0.04)}.items():
+        x = drawn[name][..., 0]
+        np.testing.assert_allclose([np.abs(x).min(), x.max(), -x.min()], [near, far, far], atol=1e-9)
+
+
 def test_sweeps_name_tools() -> None:
     tables = _tables([PLUG])
     for path, unit in (("tool.plug.radius", "m"), ("tool[0].length", "m"), ("tool.plug.displacement[1]", "m")):
