@@ -5,7 +5,8 @@ difference is an estimate of the error (Zienkiewicz, Zhu: A simple error estimat
 engineering analysis, Int. J. Numer. Meth. Eng. 24 (1987) 337-357). The error over the size, g, depends on the wall, not
 on the mesh. For elements of size s the mean square error is the integral of (g s)^2, and their number that of 1/s^2:
 the best sizes are in proportion to the inverse root of g. They are somewhat smaller where g is large, since nodes
-that land there one after the other resolve the wall too.
+that land there one after the other resolve the wall too. At a corner g has no limit, and is the larger the finer the
+mesh on which it is found; but the smallest elements set the step of all. So sizes have a limit, relative to their mean.
 
 An element has no kink. Where the sheet bends over a sharp edge of a tool, the line of the initial sheet that has come
 to lie there should be one of nodes.
@@ -35,6 +36,8 @@ _STEP = 0.25  # of a formed element's side, between points of an edge that are l
 _MOST_POINTS = 20_000  # of edges of a tool
 _JUMP = 2.0  # of an initial element's side, between such points on the sheet: more is no line
 _CONE = 1e-3  # sine by which a place is between two faces, at least
+_SMALLEST = 0.3  # of the size that as many equal elements would have, the least
+_LIMITINGS = 8  # until the size of equal elements, which grows with the smallest, hardly changes
 _SMOOTHINGS = 2  # of the squares of the rates: one element's says little
 
 
@@ -46,7 +49,15 @@ def wanted_sizes(scene: Scene, result: Result) -> Array:
         nodal = _mean_at_nodes(rate, triangles, area, len(scene.parison.thickness))
         rate = nodal[triangles].mean(1)
     floor = np.square(_LEAST) * np.average(rate, weights=area)
-    return np.maximum(nodal, max(floor, np.finfo(float).tiny)) ** (-0.5 * _POWER)
+    return _limit_sizes(np.maximum(nodal, max(floor, np.finfo(float).tiny)) ** (-0.5 * _POWER), triangles, area)
+
+
+def _limit_sizes(size: Array, triangles: Any, area: Array) -> Array:
+    """The sizes (n_node,), none of which is much smaller than that of as many equal elements."""
+    for _ in range(_LIMITINGS):
+        density = np.mean(1.0 / np.square(size)[triangles], axis=1)
+        size = np.maximum(size, _SMALLEST / np.sqrt(np.average(density, weights=area)))
+    return size
 
 
 def element_errors(scene: Scene, result: Result) -> Array:

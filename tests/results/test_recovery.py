@@ -15,6 +15,7 @@ import pytest
 import jaxform
 from benchmarks.accuracy import cases
 from jaxform.results.recovery import nodal_ratio, one_sided_thickness
+from jaxform.results.size_field import wanted_sizes
 from tests import scenes
 
 pytestmark = pytest.mark.quick
@@ -159,3 +160,17 @@ def test_without_sharp_edges_the_wall_is_as_it_was() -> None:
     bowl = jaxform.molds.revolved(profile=[[np.sin(a), np.cos(a)] for a in np.linspace(0.0, np.pi / 2, 9)], segments=48)
     part, scene, _ = _cup_part(bowl)
     assert one_sided_thickness(part, scene) is part.thickness
+
+
+def test_elements_at_a_cusp_are_not_much_smaller_than_those_of_an_even_mesh() -> None:
+    """The smallest set the step of all, and a cusp asks for the smaller ones the finer the mesh that shows it."""
+    bowl = jaxform.molds.revolved(profile=[[np.sin(a), np.cos(a)] for a in np.linspace(0.0, np.pi / 2, 9)], segments=48)
+    part, scene, _ = _cup_part(bowl)
+    middles = np.asarray(scene.parison.positions)[np.asarray(scene.parison.triangles)].mean(1)
+    jump = np.where(np.hypot(*(middles[:, :2] - 0.3).T) < 0.1, 3.0, 1.0)
+    part.element_thickness, part.thickness = 0.002 * jump, 0.002 + 0.0 * part.thickness
+    size = wanted_sizes(scene, part)
+    # As many equal elements have the size whose inverse square is the mean of those.
+    density = np.mean(1.0 / np.square(size)[np.asarray(scene.parison.triangles)], axis=1)
+    even = 1.0 / np.sqrt(np.average(density, weights=np.asarray(scene.tables.sheet.area)))
+    assert 0.29 * even < size.min() < 0.4 * even < even < size.max()
