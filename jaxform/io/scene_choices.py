@@ -26,10 +26,7 @@ Array = NDArray[np.float64]
 _REST = 0.1  # of the sheet's thickness, between the platen and the frame in the end
 _SHARES = (0.1, 0.5, 0.9)  # of the height, at which the narrowest part of the body is looked for
 _SLENDER = 2.5  # times its width: a higher body is not draped without webs that pass through each other
-_SLENDER_REMEDY = (
-    "lay it down with another --direction, or form it in parts; a bottle is blown, with "
-    "--process extrusion-blow or stretch-blow"
-)
+_BOTTLE = "a bottle is blown, with --process extrusion-blow or stretch-blow"
 _SPECK = 0.02  # of the body's area: the smallest parts that are less together do not count
 
 
@@ -144,10 +141,12 @@ def warn(made: Drape, scale: float) -> None:
             f"is {slender:.2g} times as high as it is wide, and the sheet's area grows to about {made.draw:.2g} times: "
             "it folds into webs there, thins and may burst"
         )
-        warn_of(problem, _SLENDER_REMEDY, key="--mold")
+        remedy = f"lay it down with another --direction, or form it in parts; {_BOTTLE}"
+        warn_of(problem, remedy, key="--mold")
     if not made.buck.flat:
         problem = "has no flat base: the platen is placed where it is widest, and nothing below is formed"
-        warn_of(problem, "give the side from which the sheet comes (--direction), or cut the mold flat", key="--mold")
+        remedy = f"give the side from which the sheet comes (--direction), or cut the mold flat; {_BOTTLE}"
+        warn_of(problem, remedy, key="--mold")
 
 
 def lines(made: Drape) -> Iterator[str]:

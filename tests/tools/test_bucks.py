@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, InputWarning
 from jaxform.io import scene_choices
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
@@ -156,6 +156,16 @@ def test_other_sides_are_named_once_not_for_each_facet_of_a_round_body():
     others = buck.find_buck(as_mesh(round_bottle())).others
     sides = [buck.parse_direction(name) for name in others]
     assert others and max(a @ b for a, b in itertools.combinations(sides, 2)) < 0.98
+
+
+@pytest.mark.parametrize(
+    ("solid", "words"),
+    [(round_bottle(), "times as high as it is wide"), (trimesh.creation.icosphere(radius=0.03), "no flat base")],
+    ids=["bottle", "ball"],
+)
+def test_what_may_be_a_bottle_is_told_how_it_is_blown(solid: trimesh.Trimesh, words: str):
+    with pytest.warns(InputWarning, match=f"{words}.*--process extrusion-blow or stretch-blow"):
+        scene_choices.warn(scene_choices.drape(as_mesh(solid), None), 1.0)
 
 
 def test_the_sheet_reaches_about_the_height_beyond_the_buck():
