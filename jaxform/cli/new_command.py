@@ -20,6 +20,8 @@ _LEAST, _MOST = 1e-9, 1e3  # m
 _LARGE = 3.0  # of a part in metres, which may be one of a few inches
 _DRAWN = 0.75  # times the width, above which a plug is the rule
 _DEEP = 1.5  # times the width, above which hardly anything is thermoformed
+_NARROW = 0.05  # of the sheet's width, below which a plug is hardly meant to be as it is
+_SHORT = 0.99  # of a plug's usual way: below it the mold is in its way
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -157,6 +159,10 @@ def _warn(made: Draft) -> None:
             "let a plug push the sheet first (--plug auto), form a wider sheet, or expect unfilled corners",
             key="--mold",
         )
+    if made.plug is not None and max(made.plug.size[:2]) < _NARROW * made.width:
+        wide = 1e3 * max(made.plug.size[:2])
+        problem = f"is {wide:.2g} mm wide, {made.width / max(1e-3 * wide, 1e-30):.2g} times less than the sheet"
+        warn_of(problem, "give it in the units of the mold's file", key="--plug")
     if made.slit is not None:
         problem = f"has {scene_text.slits_text(made.slit)}, more than twice as deep as wide: they are left open"
         warn_of(problem, "widen them, or raise pressure.value and check whether the sheet touches itself", key="--mold")
@@ -167,6 +173,7 @@ def _warn(made: Draft) -> None:
 
 def _lines(made: Draft) -> Iterator[str]:
     from jaxform.io import scene_choices, scene_text
+    from jaxform.tools import plugs
 
     box = " x ".join(f"{side:.4g}" for side in made.size)
     otherwise = made.other_units or "--scale overrides this"
@@ -181,9 +188,11 @@ def _lines(made: Draft) -> Iterator[str]:
         yield f"{scene_text.COVERS} closes {scene_text.covers_text(made)}"
     if made.plug is not None:
         size, what = made.plug.size, "made from the cavity" if made.plug.path is None else "of its file"
+        short = made.plug.stroke < _SHORT * plugs.DEPTH * made.found.depth
         yield (
             f"plug: {what}, {1e3 * size[0]:.3g} x {1e3 * size[1]:.3g} mm wide, goes "
-            f"{1e3 * made.plug.stroke:.3g} mm within {made.stroke_time:.3g} s; its friction is a guess"
+            f"{1e3 * made.plug.stroke:.3g} mm within {made.stroke_time:.3g} s"
+            f"{', until it is near the mold' if short else ''}; its friction is a guess"
         )
     yield (
         f"guessed: thickness {1e3 * made.thickness:.3g} mm, {made.pressure:.3g} Pa within {made.ramp:.3g} s; "

@@ -114,3 +114,14 @@ def test_a_missing_plug_is_named(tmp_path: Path, capfd) -> None:
     mold = _write(tmp_path / "mold.stl", _cup())
     assert command.main(["new", str(tmp_path / "s"), "--mold", str(mold), "--plug", str(tmp_path / "no.stl")]) == 2
     assert "--plug = " in (said := capfd.readouterr().err) and "no.stl" in said and not (tmp_path / "s").exists()
+
+
+def test_a_plug_in_other_units_is_warned_of_and_a_wide_one_says_that_it_goes_less_far(tmp_path: Path, capfd) -> None:
+    mold = _write(tmp_path / "mold.stl", _cup())
+    narrow, wide = (molds.rod(radius=radius, length=0.08, end_radius=0.0) for radius in (3e-5, 0.06))
+    for name, rod in (("narrow", narrow), ("wide", wide)):
+        plug = _write(tmp_path / f"{name}.stl", Mesh(rod.vertices, rod.triangles, {}))
+        assert command.main(["new", str(tmp_path / name), "--mold", str(mold), "--plug", str(plug)]) == 0
+        out, said = capfd.readouterr()
+        assert ("is 0.06 mm wide" in said and "units of the mold's file" in said) == (name == "narrow"), said
+        assert ("until it is near the mold" in out + said) == (name == "wide"), out
