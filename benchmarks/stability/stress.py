@@ -48,7 +48,7 @@ def run_drawn(drawn: Drawn, limit: float = LIMIT) -> tuple[State, Result]:
         left -= most
         if time.perf_counter() - began > limit:
             state = dataclasses.replace(state, status=jnp.int32(state.status | Status.STOPPED))
-    return host.finalize_state(state, scene, first), room.result(host.result_of(state, scene, first, taken, last=True))
+    return state, room.result(host.result_of(state, scene, first, taken, last=True))
 
 
 def examine(drawn: Drawn, state: State, result: Result) -> Row:

@@ -22,7 +22,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW, SLACK
 from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.energy_balance import element_energy, energy_rounding, last_work, pressure_at
-from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, update_velocity
+from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, conserves_energy, update_velocity
 from jaxform.sheet.state import PackedState, Replay, State, Status
 from jaxform.tools.mold import tool_velocity
 
@@ -33,6 +33,7 @@ _STEADY = 0.05  # of the bound on the step: where it changes by more in a window
 _QUIET = 1e-2  # of the largest work: where a window misses more energy, they become shorter
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then retried at most so often
 _GAIN_TOLERANCE = 0.005  # the same of energy that is gained where damping does not take it away
+_RELEASE_TOLERANCE = 0.002  # the same of the first window of a damped sheet that the clamp let go
 
 
 def end_window(
@@ -46,6 +47,11 @@ def end_window(
     """The state at the window's end, or where the window is rejected that at its begin, to be retried."""
     kinetic, behind, largest, tool = end
     account = dataclasses.replace(moving.account, gravity_work=_add_gravity_work(state, moving, scene, data))
+    if account.released is not None:
+        missed = account.released * jnp.square(data.length)
+        account = dataclasses.replace(
+            account, contact_loss=account.contact_loss + missed, released=jnp.zeros_like(missed)
+        )
     work = jax.lax.stop_gradient(account.work)
     new = dataclasses.replace(
         state,
@@ -72,7 +78,7 @@ def end_window(
     jump = jnp.abs(imbalance - state.account.imbalance) - rounding
     gained = imbalance - jnp.maximum(state.account.imbalance, 0.0) - rounding
     gains = (gained > _GAIN_TOLERANCE * new.account.peak_work) & (damped_share(data.length, scene) < 1.0)
-    unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) | gains
+    unsure = (jump > _jump_tolerance(state, scene) * new.account.peak_work) | gains
     unsure &= state.control.retries < _RETRIES_FOR_ENERGY
     # An unstable window, and one in which a node may have missed the mold, is retried with half the step: the sheet
     # may have stiffened within the window.
@@ -110,6 +116,14 @@ def end_window(
         windows=new.windows,
         shortened=state.shortened + bad,
     )
+
+
+def _jump_tolerance(state: PackedState, scene: Scene) -> jax.Array | float:
+    """Share of the largest work that one window may miss before it is retried with shorter steps."""
+    released = state.account.released
+    if released is None or conserves_energy(scene):
+        return _JUMP_TOLERANCE
+    return jnp.where(released > 0.0, _RELEASE_TOLERANCE, _JUMP_TOLERANCE)
 
 
 def _add_gravity_work(state: PackedState, moving: WindowState, scene: Scene, data: WindowData) -> jax.Array | None:

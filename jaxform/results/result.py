@@ -28,7 +28,7 @@ from jaxform.sheet.energy_balance import (
 )
 from jaxform.sheet.heat import ThermalState, temperature_change, tool_contact
 from jaxform.sheet.scheme import kinetic_energies
-from jaxform.sheet.state import LOSS, Schedule, State, WindowLog, is_at_rest
+from jaxform.sheet.state import LOSS, Schedule, State, Status, WindowLog, is_at_rest, is_finished
 
 # The energy balance of a run, and its checks.
 
@@ -48,7 +48,8 @@ class Energy:
         gravity_work: Work of gravity.
         pre_stretch_work: Strain energy of the pre-stretched sheet at the start.
         damping_loss: Work done against damping.
-        contact_loss: Kinetic energy of the nodes when they stuck.
+        contact_loss: Kinetic energy of the nodes when they stuck, and what the first step of nodes misses that a clamp
+            let go.
         refinement_loss: Strain and kinetic energy that new nodes took away.
         viscous_loss: Dissipation of the Prony terms.
         cooling_loss: Strain energy lost as the temperature softened the sheet, minus that gained as it stiffened.
@@ -247,7 +248,8 @@ def make_result(
         scene: The scene.
         first: The initial sheet.
         taken: The windows that were taken, as the first parts of a `Schedule`.
-        last: True if the run has ended: a sheet that cannot move any more cools on until the end time.
+        last: True if the run has ended: its status tells whether the windows did not suffice, or the energy is out of
+            balance, and a sheet that cannot move any more cools on until the end time.
     """
     now, adaptivity, mesh = present_discretization(scene, state.mesh, first), scene.adaptivity, state.mesh
     sheet = now.sheet
@@ -280,8 +282,11 @@ def make_result(
         return nodal(values, scene.parison.positions.T if rule.absent is None else rule.absent)
 
     nodes = dataclasses.replace(state.nodes, mode=None).map_fields(in_scene_order)
-    change = _change_of_temperature(state, scene, now, ratio, last)
     volume = enclosed_volume(state.nodes.positions, sheet)
+    energy = _energy_of(state, scene, first, now, volume)
+    status = jnp.where(last, _final_status(state, scene, energy), state.status)
+    state = dataclasses.replace(state, status=status)
+    change = _change_of_temperature(state, scene, now, ratio, last)
     return Result(
         positions=nodes.positions.T,
         reference=scene.parison.positions,
@@ -304,22 +309,7 @@ def make_result(
         velocities=nodes.velocities.T,
         mass=jnp.sum(now.zones.get("density", scene.material.density) * sheet.area * now.thickness),
         added_mass=_added_mass(scene, now, mesh),
-        energy=Energy(
-            strain=strain_energy(state, scene, now),
-            kinetic=_kinetic_energy(state, scene, now),
-            external_work=state.account.external_work + last_work(state, scene, volume),
-            tool_work=_or_zero(state.account.total_tool_work),
-            gravity_work=_or_zero(state.account.gravity_work),
-            pre_stretch_work=_or_zero(state.account.pre_stretch_work),
-            **(
-                dict.fromkeys(("viscous_loss", "cooling_loss", "friction_loss"), jnp.zeros_like(state.time))
-                | state.account.losses()
-            ),
-            kinetic_peak=state.account.kinetic_peak,
-            peak_work=jax.lax.stop_gradient(state.account.peak_work),
-            rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),
-            by_tool=state.account.total_by_tool,
-        ),
+        energy=energy,
         time=state.time,
         steps=state.steps,
         windows=state.windows,
@@ -329,6 +319,33 @@ def make_result(
         schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
         temperature=None if change is None else nodal(change, 0.0) + jnp.asarray(scene.parison.temperature),
     )
+
+
+def _energy_of(state: State, scene: Scene, first: Discretization, now: Discretization, volume: jax.Array) -> Energy:
+    """The energy balance of a state that encloses a volume [m^3], of the initial sheet and that with its mesh."""
+    account = state.account
+    none = dict.fromkeys(("viscous_loss", "cooling_loss", "friction_loss"), jnp.zeros_like(state.time))
+    return Energy(
+        strain=strain_energy(state, scene, now),
+        kinetic=_kinetic_energy(state, scene, now),
+        external_work=account.external_work + last_work(state, scene, volume),
+        tool_work=_or_zero(account.total_tool_work),
+        gravity_work=_or_zero(account.gravity_work),
+        pre_stretch_work=_or_zero(account.pre_stretch_work),
+        **(none | account.losses()),
+        kinetic_peak=account.kinetic_peak,
+        peak_work=jax.lax.stop_gradient(account.peak_work),
+        rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),
+        by_tool=account.total_by_tool,
+    )
+
+
+def _final_status(state: State, scene: Scene, energy: Energy) -> jax.Array:
+    """The status of the last state: of one without a status, if its energy is out of balance."""
+    status = state.status | jnp.where(is_finished(state, scene), 0, Status.WINDOWS_EXHAUSTED)
+    # Not more than the limit, so that what is not a number is out of balance, too.
+    balanced = energy.balance_error <= UNBALANCED
+    return jnp.where((status == 0) & ~balanced, Status.UNBALANCED, status).astype(jnp.int32)
 
 
 def _wall_of_mold(nodes: Nodes, scene: Scene) -> jax.Array:

@@ -24,13 +24,12 @@ from jaxform.model.replacement import check_numbers, check_scene
 from jaxform.model.scene import Scene
 from jaxform.results.filling import may_be_unfilled
 from jaxform.results.part import has_burst, warnings_of_part
-from jaxform.results.result import UNBALANCED, Result, Seconds, make_result
+from jaxform.results.result import Result, Seconds, make_result
 from jaxform.results.summary import add_filling, warnings_of
 from jaxform.results.tool_contact import contact_shares
 from jaxform.runs.padding import PaddedScene, pad_to_bucket
 from jaxform.sheet.active_set import ActiveSet, repack, whole_set
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
-from jaxform.sheet.energy_balance import energy_rounding
 from jaxform.sheet.scheme import open_clamp
 from jaxform.sheet.self_contact import stick_folds
 from jaxform.sheet.state import PackedState, State, Status, WindowLog, is_finished
@@ -277,18 +276,7 @@ def result_of(
     state: State, scene: Scene, first: Discretization, taken: WindowLog | None = None, last: jax.Array | bool = False
 ) -> Result:
     """The result of a state; that of the last one has its final status."""
-    status = jnp.where(last, finalize_state(state, scene, first).status, state.status)
-    return make_result(dataclasses.replace(state, status=status), scene, first, taken, last)
-
-
-@jax.jit
-def finalize_state(state: State, scene: Scene, first: Discretization) -> State:
-    """The final state; its status tells if the windows did not suffice, or if the energy is out of balance."""
-    short = jnp.where(is_finished(state, scene), 0, Status.WINDOWS_EXHAUSTED)
-    least = energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness))
-    missing = jnp.abs(state.account.imbalance) > UNBALANCED * state.account.peak_work + least
-    status = jnp.where((state.status | short) == 0, jnp.where(missing, Status.UNBALANCED, 0), state.status | short)
-    return dataclasses.replace(state, status=status.astype(jnp.int32))
+    return make_result(state, scene, first, taken, last)
 
 
 @jax.jit

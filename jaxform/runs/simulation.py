@@ -30,7 +30,7 @@ from jaxform.mesh.volumes import areas
 from jaxform.model.replacement import check_scene, number_at, replace, sanitize_parameters
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, make_result
-from jaxform.runs.host import IN_MEMORY, finalize_state, latest_decisions, skip_if_full, whole_run
+from jaxform.runs.host import IN_MEMORY, latest_decisions, skip_if_full, whole_run
 from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
 from jaxform.sheet.scheme import open_clamp_of
@@ -108,7 +108,7 @@ def _simulate_windows(adjoint: Adjoint, scene: Scene, schedule: Schedule | None)
         taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
     else:
         state, taken = _windows(state, scene, first, schedule, count=count, adjoint=adjoint)
-    result = make_result(finalize_state(state, scene, first), scene, first, jax.lax.stop_gradient(taken), True)
+    result = make_result(state, scene, first, jax.lax.stop_gradient(taken), True)
     return _mask_walls(dataclasses.replace(result, out_of_range=out_of_range), jnp.any(out_of_range != 0))
 
 

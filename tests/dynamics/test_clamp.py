@@ -46,6 +46,12 @@ def test_a_pre_stretched_sheet_that_is_let_go_has_its_unstretched_size_again() -
     assert not np.asarray(formed.clamped).any()
 
 
+@pytest.mark.parametrize(("stretch", "damping"), [(1.02, 30.0), (1.2, 300.0), (1.2, None)])
+def test_the_energy_that_is_set_free_at_once_is_accounted_for(stretch: float, damping: float | None) -> None:
+    result = jaxform.run(_scene(_disc(stretch), damping, 0.06))
+    assert int(result.status) == 0 and float(result.energy.balance_error) < 5e-3
+
+
 def _bar(count: int, stretch: float, until: float) -> jaxform.Parison:
     """A strip along x from 0 to 1 m whose nodes move along x alone; fixed at x = 0, and clamped at x = 1."""
     across, along = np.meshgrid([0.0, 1.0 / count], np.linspace(0.0, 1.0, count + 1), indexing="ij")

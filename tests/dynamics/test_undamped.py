@@ -90,3 +90,11 @@ def test_weak_damping_shortens_the_step_and_strong_damping_does_not() -> None:
     assert share(None) == share(0.0) == share(1e-3) == 0.0
     assert 0.0 < share(0.1) < 1.0
     assert share(0.25) == share(10.0) == 1.0
+
+
+def test_a_gas_that_fills_an_undamped_disc_keeps_the_balance_that_is_judged() -> None:
+    """The fast modes that the gas excites have exactly the energy that it gave them, but most of the little work."""
+    shape = _ringing_disc(0.01, 1.0)
+    gas = jaxform.make_gas([0.0], [0.0032], temperature=1.0, gas_constant=1.0, ambient_pressure=0.5, dead_volume=0.02)
+    result = jaxform.run(jaxform.build_scene(parison=shape.parison, material=_SOFT, pressure=gas, solver=shape.solver))
+    assert int(result.status) == 0 and float(result.energy.balance_error) < 0.01
