@@ -32,6 +32,7 @@ _TIMES = 21  # times at which the distance of a tool from the sheet is measured
 _MOST_PLACES = 5000  # vertices of a tool whose distance from the sheet is measured
 _MEETINGS = 41  # times, besides the knots of motions, at which two tools are compared
 _ACROSS, _UNLIKE = 0.1, 0.02  # of a tool's longer side of a plane: the shorter one, at least; what it lacks, at least
+_MOST_FRICTION = 5.0  # a coefficient of friction that is larger is hardly one
 _BEHIND = 1e-3  # of the sheet's size: as near as that to its surface a place is on neither side
 
 
@@ -296,7 +297,7 @@ _WAVE = 8.0  # times c over the density: the square of the speed of a wave along
 
 
 def warn_of_units(scene: Scene, file: str = "") -> None:
-    """Warns of likely unit errors in numbers of the material, of temperatures, of gases and of motion."""
+    """Warns of likely unit errors in numbers of the material, of temperatures, of gases, of friction and of motion."""
     _warn_of_modes(scene, file)
     _warn_of_shift(scene, file)
     if scene.cooling is not None and scene.parison.temperature is not None:
@@ -304,7 +305,16 @@ def warn_of_units(scene: Scene, file: str = "") -> None:
     gases = list_gases(scene.pressure)
     for gas in gases:
         _warn_of_gas(scene, gas, f"gas.{gas.closed_by}" if len(gases) > 1 else "gas", file)
+    _warn_of_friction(scene, file)
     _warn_of_motion(scene, file)
+
+
+def _warn_of_friction(scene: Scene, file: str) -> None:
+    for tool in (surface.mold for surface in scene.surfaces if surface.mold.contact.has_friction):
+        most = float(np.max(np.asarray(tool.contact.friction)))  # pyright: ignore[reportAttributeAccessIssue]
+        if most > _MOST_FRICTION:
+            problem, remedy = "is a very large coefficient: is it in per cent?", f"give {0.01 * most:.4g} if it is"
+            warn_of(problem, remedy, key=f"{words_of(tool)[1]}.friction", value=most, file=file)
 
 
 def _warn_of_modes(scene: Scene, file: str) -> None:

@@ -133,6 +133,14 @@ def test_a_tool_with_a_temperature_in_kelvin_is_told(tmp_path: Path) -> None:
     assert not told[1]
 
 
+def test_a_coefficient_of_friction_in_per_cent_is_told(tmp_path: Path) -> None:
+    slippery = 'contact = "coulomb"\nfriction = {}\n[solver]'
+    percent, usual = (
+        _collect_warnings(tmp_path, scenes.FILE.replace("[solver]", slippery.format(value))) for value in (30.0, 0.3)
+    )
+    assert not usual and len(percent) == 1 and "mold.friction = 30.0: " in percent[0] and "give 0.3" in percent[0]
+
+
 def test_a_mold_faster_than_waves_is_told(tmp_path: Path) -> None:
     motion = "[mold.motion]\ndirection = [0.0, 0.0, 1.0]\ntime = [0.0, {time}]\ndisplacement = [0.0, 0.03]\n[solver]"
     slow, slip = (
