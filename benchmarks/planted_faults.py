@@ -1,7 +1,7 @@
 """Do the tests find what is wrong? Single-line faults, planted one at a time in a copy of the tree: `make planted`.
 
 `python -m benchmarks.planted_faults AREA ...` plants those of some areas; `--tests PATH ...` asks other tests than the
-area's own. A fault that no test finds is a line that nobody holds.
+area's own; `--short` leaves out those marked `long`. A fault that no test finds is a line that nobody holds.
 """
 
 from __future__ import annotations
@@ -143,8 +143,8 @@ def plant(fault: Fault, tree: Path) -> None:
     path.write_text(text.replace(fault.right, fault.wrong), encoding="utf-8")
 
 
-def is_found(fault: Fault, tests: list[str]) -> str:
-    """The name of the first test that fails with the fault; empty where all pass."""
+def is_found(fault: Fault, tests: list[str], *, short: bool = False) -> str:
+    """The name of the first test that fails with the fault, of the short ones alone if wanted; empty where all pass."""
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
         hidden = shutil.ignore_patterns(".*", "out", "__pycache__", "*.egg-info")
@@ -153,6 +153,7 @@ def is_found(fault: Fault, tests: list[str]) -> str:
         programs = ROOT / ".pytest_cache" / "programs"  # what the fault does not change is not compiled again
         known = {"JAX_COMPILATION_CACHE_DIR": str(programs)} | os.environ | {"PYTHONPATH": str(tree)}
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--tb=no", *tests]
+        command += ["-m", "not long"] if short else []
         try:
             done = subprocess.run(
                 command, cwd=tree, env=known, capture_output=True, text=True, timeout=_SECONDS, check=False
@@ -168,12 +169,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("areas", nargs="*", help=f"of {', '.join(TESTS)}; all by default")
     parser.add_argument("--tests", nargs="+", default=None, help="files, folders or tests instead of the area's own")
+    parser.add_argument("--short", action="store_true", help="without the tests marked `long`, as `make test`")
     arguments = parser.parse_args()
     missed = 0
     for fault in FAULTS:
         if arguments.areas and fault.area not in arguments.areas:
             continue
-        found = is_found(fault, arguments.tests or TESTS[fault.area])
+        found = is_found(fault, arguments.tests or TESTS[fault.area], short=arguments.short)
         missed += not found
         print(f"{fault.area:11}{fault.file}: {fault.wrong}\n           {found or 'NOT FOUND'}", flush=True)
     raise SystemExit(f"{missed} not found" if missed else 0)
