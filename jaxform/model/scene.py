@@ -81,7 +81,7 @@ class Solver:
         self_contact: True if films stick to each other that meet back to back in a fold, a web.
         edge_contact: True if sides of elements are held at sharp edges of tools that they would pass between two nodes.
         smooth_landing: True if nodes land on curved paths and stop at that very time, not at the end of a step, so that
-            slopes of a run follow the trend of its results.
+            slopes of a run follow the trend of its results, as far as its steps are short: with a safety of 0.6.
         max_steps: Largest number of steps of `run`.
     """
 

@@ -206,7 +206,8 @@ class SolverTable(Table):
         self_contact: True if films stick to each other that meet back to back in a fold (a web), while the mold rests.
         edge_contact: True if sides of elements are held at sharp edges of tools that they would pass between two nodes.
         smooth_landing: True if nodes land on curved paths and stop at that very time, not at the end of a step, so that
-            slopes of a run follow the trend of its results; for tools at rest that the sheet sticks to.
+            slopes of a run follow the trend of its results, as far as its steps are short: with a safety of 0.6. For
+            tools at rest that the sheet sticks to.
         max_steps: Limit on the steps of a run.
     """
 
