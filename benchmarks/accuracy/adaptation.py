@@ -22,7 +22,7 @@ from jaxform.adapt import mesher
 from jaxform.io import files
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
-from jaxform.results.result import Result, drop_unused
+from jaxform.results.result import drop_unused
 from jaxform.results.size_field import edge_lines, wanted_sizes
 
 _FIRST = 600  # elements of the mesh on which an adapted run begins
@@ -79,51 +79,73 @@ def _disc(elements: int) -> Sheet:
 
 _UNIFORM, _ADAPTED = (600, 1250, 2500, 5000, 10000), (300, 600, 1250, 2500, 5000)
 _LEVELS = ((2, 4), (4, 6), (6, 8), (6, 10))  # to which a sheet is refined where it bends, and at the corner
+_ROUNDS = 5  # of which each run's least CPU time counts
+
+
+class Chain(NamedTuple):
+    """The runs that a wall takes: a kind of mesh, scenes of which the last has that wall, CPU time [s] of meshing."""
+
+    kind: str
+    scenes: list[Scene]
+    meshing: float
 
 
 def show_costs(name: str) -> list[dict[str, Any]]:
-    """Error at the nodes and CPU time [s] of a cup on uniform meshes, meshes refined in flight, and adapted ones."""
-    cup, wall = CUPS[name], cases.exact_table(CUPS[name].table)
+    """Error at the nodes and CPU time [s] of a cup on uniform meshes, meshes refined in flight, and adapted ones.
 
-    def row(kind: str, scene: Scene, result: Result, spent: float, work: float) -> dict[str, Any]:
-        scene, result = drop_unused(scene, result)
+    A run's CPU time is the least of some, in rounds through all runs, so that what else the machine does in some
+    minutes does not slow all repeats of one run.
+    """
+    cup, wall = CUPS[name], cases.exact_table(CUPS[name].table)
+    chains = [Chain("uniform", [cup.scene(_disc(elements))], 0.0) for elements in _UNIFORM]
+    chains += [Chain("refined in flight", [_refined_in_flight(cup, *levels)], 0.0) for levels in _LEVELS]
+    chains += [_adapted(cup, elements) for elements in _ADAPTED]
+    results = [[jaxform.run(scene) for scene in chain.scenes] for chain in chains]
+    seconds = [[[_cpu_time(scene) for scene in chain.scenes] for chain in chains] for _ in range(_ROUNDS)]
+    rows = []
+    for number, (chain, own) in enumerate(zip(chains, results, strict=True)):
+        scene, result = drop_unused(chain.scenes[-1], own[-1])
         radius = np.hypot(*np.asarray(scene.parison.positions)[:, :2].T)
         off = cases.nodal_ratio(scene, result) / cases.exact_ratio(radius, wall) - 1
-        count, error = len(scene.parison.triangles), cases.rms(off, cases.nodal_area(scene))
-        made = {"kind": kind, "elements": count, "error": error, "seconds": spent, "element_steps": work}
+        made = {
+            "kind": chain.kind,
+            "elements": len(scene.parison.triangles),
+            "error": cases.rms(off, cases.nodal_area(scene)),
+            "seconds": chain.meshing + sum(map(min, zip(*(each[number] for each in seconds), strict=True))),
+            "element_steps": sum(float(one.steps) * float(np.asarray(one.used).sum()) for one in own),
+        }
         print("  " + "  ".join(f"{key} {value}" for key, value in made.items()), flush=True)
-        return made
-
-    rows = []
-    for elements in _UNIFORM:
-        scene = cup.scene(_disc(elements))
-        rows.append(row("uniform", scene, *_run_by_cpu(scene)))
-    limits = files.read_scene("dish-refined").data["refinement"]
-    for level, corner in _LEVELS:
-        wanted = limits | {"max_level": level, "base_level": corner, "mass_scaling_levels": min(4, corner - 4)}
-        scene = cup.scene(_disc(27), jaxform.make_refinement(**{"interval": 64, "elements": 8192} | wanted))
-        scene = jaxform.fitted(scene, int(jaxform.run(scene).used.sum()))
-        rows.append(row("refined in flight", scene, *_run_by_cpu(scene)))
-    for elements in _ADAPTED:
-        sheet, before, done = _disc(min(_FIRST, elements)), 0.0, 0.0
-        for _ in range(_PASSES):
-            scene = cup.scene(sheet)
-            result, spent, work = _run_by_cpu(scene)
-            began = time.process_time()
-            sheet = mesher.remesh(sheet, wanted_sizes(scene, result), elements, edge_lines(scene, result))
-            before, done = before + spent + time.process_time() - began, done + work
-        scene = cup.scene(sheet)
-        result, spent, work = _run_by_cpu(scene)
-        rows.append(row("adapted, all its runs", scene, result, before + spent, done + work))
+        rows.append(made)
     return rows
 
 
-def _run_by_cpu(scene: Scene) -> tuple[Result, float, float]:
-    """A run, after one that compiles it; its CPU time [s], and its steps times its elements at the end."""
-    jaxform.run(scene)
+def _refined_in_flight(cup: Cup, level: int, corner: int) -> Scene:
+    """A scene that is refined as the built-in dish is, up to levels, with room for the elements that it needs."""
+    limits = files.read_scene("dish-refined").data["refinement"]
+    wanted = limits | {"max_level": level, "base_level": corner, "mass_scaling_levels": min(4, corner - 4)}
+    scene = cup.scene(_disc(27), jaxform.make_refinement(**{"interval": 64, "elements": 8192} | wanted))
+    return jaxform.fitted(scene, int(jaxform.run(scene).used.sum()))
+
+
+def _adapted(cup: Cup, elements: int) -> Chain:
+    """The scenes of a run on an adapted mesh: those by whose walls it is adapted, and the last."""
+    sheet, meshing = _disc(min(_FIRST, elements)), 0.0
+    scenes = [cup.scene(sheet)]
+    for _ in range(_PASSES):
+        result = jaxform.run(scenes[-1])
+        began = time.process_time()
+        sizes, lines = wanted_sizes(scenes[-1], result), edge_lines(scenes[-1], result)
+        sheet = mesher.remesh(sheet, sizes, elements, lines)
+        meshing += time.process_time() - began
+        scenes.append(cup.scene(sheet))
+    return Chain("adapted, all its runs", scenes, meshing)
+
+
+def _cpu_time(scene: Scene) -> float:
+    """The CPU time [s] of a run that has been compiled."""
     began = time.process_time()
-    result = jaxform.run(scene)
-    return result, time.process_time() - began, float(result.steps) * float(np.asarray(result.used).sum())
+    jaxform.run(scene)
+    return time.process_time() - began
 
 
 def time_of_uniform(rows: list[Row], error: float, kind: str = "nodal thickness") -> float:

@@ -1,8 +1,8 @@
 """Accuracy against solutions that owe nothing to it, and what an error costs in time.
 
-Run it with `make validate`, or parts of it by name: `python -m benchmarks.accuracy cases dish box slow gradient`, and
-`meshes`, which is measured by name alone; any other name draws the page alone. What a part finds goes into
-docs/accuracy.json; the page docs/accuracy.md and its pictures are drawn from that file alone.
+Run it with `make validate`, or parts of it by name: `python -m benchmarks.accuracy cases meshes dish box slow
+gradient`; any other name draws the page alone. What a part finds goes into docs/accuracy.json; the page
+docs/accuracy.md and its pictures are drawn from that file alone.
 """
 
 from __future__ import annotations
@@ -244,14 +244,12 @@ def show_meshes() -> Found:
 
 PARTS: dict[str, Callable[[], Any]] = {
     "cases": show_cases,
+    "meshes": show_meshes,
     "dish": show_dish,
     "box": show_box,
     "slow": show_slow,
     "gradient": show_gradient,
 }
-
-BY_NAME: dict[str, Callable[[], Any]] = {"meshes": show_meshes}
-"""Parts that are measured where they are asked for, alone on a machine."""
 
 
 def main(names: list[str]) -> None:
@@ -259,9 +257,9 @@ def main(names: list[str]) -> None:
     jax.config.update("jax_enable_x64", True)
     one_core()
     for name in names or PARTS:
-        if name in PARTS | BY_NAME:
+        if name in PARTS:
             print(f"{name}:", flush=True)
             began = time.perf_counter()
-            found = (PARTS | BY_NAME)[name]()
+            found = PARTS[name]()
             store_figures(_FILE, name, {"found": found, "seconds": time.perf_counter() - began})
     page.write(read_figures(_FILE), DOCS)
