@@ -27,6 +27,9 @@ _SHARE = 0.4  # of the parison's radius, that it is thick at most
 _TAIL, _LAND = 0.12, 0.2  # of the bottle's length: parison below the bottom, and the land's width
 _GAP = 0.15  # of the parison's radius, between it and the mold half at first
 _REACH, _COVER = 0.2, 0.67  # of a handle's width, over which the flattened parison lies at least, and is to lie
+_BLOWN = 3.5  # width of a bottle over that of the flattened parison, at most
+_CORNERS = 4.0  # times as much air for a bottle that is wider: its corners are stretched far, and bear more
+_PINCHED = 1.15  # radius of a parison that is wider than the neck over that of the neck, at least
 _WITHIN = 0.95  # of the bottle's width beside its axis, that the flattened parison reaches at most
 _BELOW = 0.002  # of the length, between the end of a parison that is wider than the neck and that of the mold
 _ABOVE = 1e-4  # of the length, between the mold and the blow pin
@@ -93,8 +96,10 @@ def _find_holes(half: BottleHalf) -> list[tuple[float, float, float]]:
 
 
 def _choose_radius(half: BottleHalf, holes: list[tuple[float, float, float]]) -> float:
-    """The parison's radius [m]: within the neck, or wider where a handle is farther away than such a one reaches."""
+    """The parison's radius [m]: within the neck, or wider for a handle that it does not reach, or for a wide bottle."""
     usual = (_WIDE_FIT if holes else _FIT) * half.neck
+    least = float(np.ptp(half.mesh.positions[:, 1])) / (math.pi * _BLOWN)
+    usual = max(usual, least if least <= _WIDE_FIT * half.neck else max(least, _PINCHED * half.neck))
     reach = max((inner + _REACH * (outer - inner) for _, inner, outer in holes), default=0.0)
     if 0.5 * math.pi * usual >= reach:
         return round_digits(usual)
@@ -126,7 +131,8 @@ def _describe(half: BottleHalf, radius: float, thickness: float, wall: float, ho
     holes = f", with {hole_count} hole{'s' if hole_count > 1 else ''} beside a handle" if hole_count else ""
     size = f"{1e3 * half.length:.3g} mm long and {1e3 * wide:.3g} mm wide"
     yield f"it is {size}, with a neck of {2e3 * half.neck:.3g} mm{holes}"
-    wider = ", wider than the neck, to reach the handle," if radius > half.neck else ","
+    wider = f", wider than the neck, {'to reach the handle' if hole_count else 'as the bottle is wide'},"
+    wider = wider if radius > half.neck else ","
     mass = 2e3 * _DENSITY * math.pi * radius * half.length * (1.0 + _TAIL) * thickness
     yield (
         f"parison: {2e3 * radius:.3g} mm wide{wider} {1e3 * thickness:.3g} mm thick, {mass:.3g} g with its flash; "
@@ -143,8 +149,9 @@ def _scene(paths: Sequence[Path], half: BottleHalf, radius: float, thickness: fl
     air, spread = _C * thickness / radius, _HANDLE_SPREAD if has_handle else _SPREAD
     elements = _MORE if has_handle else _ELEMENTS
     if is_wide:
-        spread, elements = _WIDE_SPREAD, _MANY
+        spread, elements = _WIDE_SPREAD if has_handle else _SPREAD, _MANY
     low, high = half.mesh.positions.min(0), half.mesh.positions.max(0)
+    blow = _BLOW * (_CORNERS if is_wide and not has_handle else 1.0)
     width = float(high[1] - low[1]) + 2.0 * wide
     values = {
         "name": inline(Path(paths[0]).stem),
@@ -156,7 +163,7 @@ def _scene(paths: Sequence[Path], half: BottleHalf, radius: float, thickness: fl
         "held": "both are pinched: it is wider than the neck" if is_wide else "the machine holds the upper end",
         "thickness": f"{thickness:.6g}",
         "pressure": inline([0.0, *(round_digits(air * share) for share in (_SUPPORT, spread))])[:-1]
-        + f", {round_digits(max((1.0 + 0.5 * is_wide) * _LEAST, _BLOW * air)):.6g}]",
+        + f", {round_digits(max((1.0 + 0.5 * is_wide) * _LEAST, blow * air)):.6g}]",
         "half": HALF,
         "land": f"{wide:.6g}",
         "gap": f"{gap:.6g}",

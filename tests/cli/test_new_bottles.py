@@ -11,10 +11,10 @@ import pytest
 
 import jaxform
 from jaxform.cli.command import main
-from jaxform.mesh import meshes
+from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import bottles, molds
-from tests.cli.test_new_extrusion import SQUARE, loft, with_handle
+from tests.cli.test_new_extrusion import SQUARE, loft, squat, with_handle
 
 BOTTLE = [[0, 6], [20, 5], [32, 0], [42, 3], [45, 10], [45, 190], [30, 250], [13.5, 285], [13.5, 300], [0, 300]]
 
@@ -90,6 +90,16 @@ def test_of_a_bottle_no_more_is_modelled_than_its_symmetry_asks() -> None:
     way = square.positions[:, 2] / 215 * np.pi
     twisted = square.positions + np.stack([4.0 * np.sin(way) ** 2, 4.0 * np.sin(way) * np.sin(2 * way), 0 * way], 1)
     assert bottles.find_body(Mesh(twisted, square.triangles, {})).symmetry == "none"
+
+
+def test_half_of_a_closed_bottle_as_a_solid_is_the_whole_bottle() -> None:
+    """A half that is closed by the face of its cut, of a bottle with a wall: its outside, and nothing of the cut."""
+    half = squat("half jar")
+    found = bottles.find_body(Mesh(half.positions @ TURN.T, half.triangles, {}))
+    revolved, neck = bottles.mean_revolution(found.mesh)
+    assert found.symmetry == "quarter" and topology.count_handles(found.mesh.triangles) == 0
+    np.testing.assert_allclose([revolved.radius, revolved.length, neck], [60.0, 0.98 * 86.0, 36.0], rtol=5e-3)
+    np.testing.assert_allclose(found.rotation[2] @ TURN, [0.0, 0.0, -1.0], atol=1e-3)
 
 
 def test_a_handle_is_refused_with_the_process_that_can_make_it(

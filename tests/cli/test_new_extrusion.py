@@ -212,6 +212,16 @@ def test_the_axis_of_a_bottle_that_is_wider_than_tall_runs_through_its_neck(kind
 
 
 @pytest.mark.quick
+def test_a_flask_gets_a_parison_wider_than_its_neck_and_the_air_for_it(tmp_path: Path) -> None:
+    assert _new(tmp_path, squat("flask")) == 0
+    scene = jaxform.load(tmp_path / "new" / "scene.toml")  # warnings are errors here
+    # Blown to the bottle's width of 140 mm from the flattened parison: 3.2 times, 4.6 times from one within the neck.
+    wide = float(np.ptp(np.asarray(scene.parison.positions)[:, 1]))
+    assert 3.0 < 0.140 / (0.5 * np.pi * wide) < 3.5 and wide > 1.1 * 0.024
+    assert float(np.max(np.asarray(scene.pressure.value))) > 5e6
+
+
+@pytest.mark.quick
 def test_halves_that_differ_and_boxes_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bent = _square()
     x, y, z = bent.positions.T
