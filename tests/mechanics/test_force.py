@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -129,16 +130,22 @@ def test_tangent_and_cotangent_by_numbers_that_vary_over_the_sheet() -> None:
     _compare_derivatives(load._replace(material=law), sheet)
 
 
-def _compare_derivatives(load: Load, sheet: Elements) -> None:
-    change = _random_like(load, 1)
-    weights = jnp.asarray(np.random.default_rng(2).normal(size=load.positions.shape)), real(0.7)
-    own, own_change = jax.jvp(lambda load: force.force(load, sheet), (load,), (change,))
-    plain, plain_change = jax.jvp(lambda load: force._force(load, sheet), (load,), (change,))
-    for got, expected in zip((*own, *own_change), (*plain, *plain_change), strict=True):
-        np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-13)
+@jax.jit
+def _derivatives(load: Load, sheet: Elements, change: Load, weights: tuple[jax.Array, jax.Array]) -> tuple[Any, ...]:
+    """Values and tangents of the force, those of the plain formula, and the cotangents of both."""
+    own = jax.jvp(lambda load: force.force(load, sheet), (load,), (change,))
+    plain = jax.jvp(lambda load: force._force(load, sheet), (load,), (change,))
     own_pull = jax.vjp(lambda load: force.force(load, sheet), load)[1](weights)
     nodal, volume = jax.jacfwd(lambda load: force._force(load, sheet))(load)
     plain_pull = jax.tree.map(lambda f, v: jnp.tensordot(weights[0], f, 2) + weights[1] * v, nodal, volume)
+    return own, plain, own_pull, plain_pull
+
+
+def _compare_derivatives(load: Load, sheet: Elements) -> None:
+    weights = jnp.asarray(np.random.default_rng(2).normal(size=load.positions.shape)), real(0.7)
+    own, plain, own_pull, plain_pull = _derivatives(load, sheet, _random_like(load, 1), weights)
+    for got, expected in zip(jax.tree.leaves(own), jax.tree.leaves(plain), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-13)
     for got, expected in zip(jax.tree.leaves(own_pull), jax.tree.leaves(plain_pull), strict=True):
         np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-12)
 
