@@ -77,6 +77,30 @@ def test_ogdens_slopes_however_alike_stretches_are(power: float) -> None:
     np.testing.assert_allclose(jax.jvp(law.slopes, strain, strain)[0], found, rtol=1e-14)
 
 
+# The law is an argument, so that all powers share one program.
+
+
+@jax.jit
+def _curvatures(law: jaxform.Law, trace: jax.Array, determinant: jax.Array) -> Any:
+    return law.curvatures(trace, determinant)
+
+
+@jax.jit
+def _changes_of_slopes(law: jaxform.Ogden, near: tuple[jax.Array, jax.Array]) -> tuple[Any, ...]:
+    """Changes of the slopes along strain and numbers, along each alone, and two derivatives by the trace."""
+    numbers = law.mu, law.alpha
+
+    def slopes(mu: jax.Array, alpha: jax.Array, trace: jax.Array, determinant: jax.Array) -> Any:
+        return ogden(mu, alpha).slopes(trace, determinant)
+
+    along = jax.jvp(slopes, (*numbers, *near), (*numbers, *near))[1]
+    of_strain = jax.jvp(lambda trace, determinant: slopes(*numbers, trace, determinant), near, near)[1]
+    of_numbers = jax.jvp(lambda mu, alpha: slopes(mu, alpha, *near), numbers, numbers)[1]
+    curved = jax.jacfwd(lambda trace: law.curvatures(trace, near[1])[0])(near[0])
+    again = jax.jacfwd(jax.jacfwd(lambda trace: law.slopes(trace, near[1])[0]))(near[0])
+    return along, of_strain, of_numbers, curved, again
+
+
 @pytest.mark.parametrize("power", [0.7, 3.0, 9.0, 20.0])
 def test_ogdens_curvatures_however_alike_stretches_are(power: float) -> None:
     """In extended precision, with U_q = sinh(q y) / sinh(y) and its slope along cosh(y), by a long series next to 0."""
@@ -107,22 +131,12 @@ def test_ogdens_curvatures_however_alike_stretches_are(power: float) -> None:
     scales = trace**2, trace * determinant, determinant**2
     size = sum(np.abs(own) * scale for own, scale in zip(right, scales, strict=True))
     law = ogden([1.0, 0.2], [power, -0.5 * power])
-    for found, own, scale in zip(jax.jit(law.curvatures)(*strain), right, scales, strict=True):
+    for found, own, scale in zip(_curvatures(law, *strain), right, scales, strict=True):
         assert np.max(np.abs(np.asarray(found) - own) * scale / size) < 1e-10
     # Along the strain, along the law's numbers and along both, and derivatives of these.
-    near = strain[0][:5], strain[1][:5]
-    numbers = law.mu, law.alpha
-
-    def slopes(mu: jax.Array, alpha: jax.Array, trace: jax.Array, determinant: jax.Array) -> Any:
-        return ogden(mu, alpha).slopes(trace, determinant)
-
-    along = jax.jvp(slopes, (*numbers, *near), (*numbers, *near))[1]
-    of_strain = jax.jvp(lambda trace, determinant: slopes(*numbers, trace, determinant), near, near)[1]
-    of_numbers = jax.jvp(lambda mu, alpha: slopes(mu, alpha, *near), numbers, numbers)[1]
+    along, of_strain, of_numbers, curved, again = _changes_of_slopes(law, (strain[0][:5], strain[1][:5]))
     for both, one, other in zip(along, of_strain, of_numbers, strict=True):
         np.testing.assert_allclose(both, one + other, rtol=1e-12)
-    curved = jax.jacfwd(lambda trace: law.curvatures(trace, near[1])[0])(near[0])
-    again = jax.jacfwd(jax.jacfwd(lambda trace: law.slopes(trace, near[1])[0]))(near[0])
     np.testing.assert_allclose(jnp.diag(curved), [again[k, k, k] for k in range(5)], rtol=1e-9)
 
 

@@ -213,7 +213,7 @@ def test_a_master_curve_from_the_glass_transition_on_runs() -> None:
     ("time", "wall"),
     [
         (60.0, [0.45198, 0.44008, 0.41148, 0.37232, 0.48905, 0.59305, 0.69527]),
-        (600.0, [0.45483, 0.44181, 0.41259, 0.37246, 0.49084, 0.59268, 0.69135]),
+        pytest.param(600.0, [0.45483, 0.44181, 0.41259, 0.37246, 0.49084, 0.59268, 0.69135], marks=pytest.mark.long),
     ],
 )
 def test_a_sheet_formed_into_a_cup(time: float, wall: list[float]) -> None:
