@@ -10,10 +10,12 @@ from .loads import (
     Interval,
     Loading,
     Pressure,
+    RegionalLoad,
     TwoSidedLoad,
     loading,
     make_gas,
     make_pressure,
+    make_regional_load,
     make_two_sided_load,
 )
 from .materials import (
@@ -91,6 +93,7 @@ __all__ = [
     "Pressure",
     "Profile",
     "Refinement",
+    "RegionalLoad",
     "Result",
     "Reversed",
     "Scene",
@@ -123,6 +126,7 @@ __all__ = [
     "make_part",
     "make_pressure",
     "make_refinement",
+    "make_regional_load",
     "make_solver",
     "make_two_sided_load",
     "molds",

@@ -160,7 +160,10 @@ def _interval(last: Any, step: Any, bounds: Bounds, rising: bool) -> tuple[jax.A
 def _no_number(scene: Scene, key: str) -> str:
     """Description of a key of a tool or of the gas that is not a number of the scene."""
     if key.startswith("gas."):
-        return "is not a number of the scene" + ("" if hasattr(scene.pressure, "dead_volume") else ", which has no gas")
+        names = ", ".join(getattr(scene.pressure, "names", ()))
+        regions = f"; its gases are {names}, as in gas.NAME.mass_flow" if names else ""
+        has = regions or hasattr(scene.pressure, "dead_volume")
+        return "is not a number of the scene" + (regions if has else ", which has no gas")
     known = [
         file_key(f"{part}.{path}")
         for part in [*(["mold"] if scene.mold is not None else []), *(f"tools.{tool.name}" for tool in scene.tools)]

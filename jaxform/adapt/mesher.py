@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import planform, topology
+from jaxform.mesh import topology
 from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.volumes import areas
 from jaxform.tools.distances import Distances, interpolate, signed_weights, weights
@@ -310,7 +310,7 @@ def _cut_chords(points: Array, triangles: Index, edges: Index, clamped: Mask) ->
     middle[joins] = base + number.ravel()
     middles = [[None if k < 0 else k for k in row] for row in middle.reshape(-1, 3).tolist()]
     cut = [
-        part for one, of in zip(triangles.tolist(), middles, strict=True) for part in planform.split_triangle(one, of)
+        part for one, of in zip(triangles.tolist(), middles, strict=True) for part in topology.split_triangle(one, of)
     ]
     return np.concatenate([points, points[chords].mean(1)]), np.array(cut, np.int64)
 

@@ -14,6 +14,8 @@ from jaxform.core.store import Store
 from jaxform.io import files, schema
 from jaxform.io.files import SceneDocument
 from jaxform.io.scene_checks import Survey, survey
+from jaxform.loads import RegionalLoad
+from jaxform.mesh import volumes
 from jaxform.model import mesh_connectivity
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
@@ -141,6 +143,18 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
         yield f"{loads} follows the enclosed volume, and pushes the sheet {seen.direction}{turns}"
     else:
         yield f"{loads}, up to {scene.strongest_push():.4g} Pa, pushes the sheet {seen.direction}{turns}"
+    if isinstance(scene.pressure, RegionalLoad):
+        yield f"the sheet is clamped along the borders of regions; {_regions(scene, scene.pressure)}"
+
+
+def _regions(scene: Scene, load: RegionalLoad) -> str:
+    """The number and the area of the elements that each load of a region pushes."""
+    positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    area, masks = volumes.areas(positions, triangles), np.asarray(load.regions)
+    rows = zip(load.names, masks, strict=True)
+    said = [f"{name} pushes {own.sum()} elements ({1e4 * area[own].sum():.4g} cm^2)" for name, own in rows]
+    rest = int((~masks.any(0)).sum())
+    return ", ".join([*said, *([f"{rest} elements are in no region"] if rest else [])])
 
 
 def _is_cut_at_planes(scene: Scene) -> bool:

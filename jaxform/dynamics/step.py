@@ -45,7 +45,7 @@ from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
 from jaxform.model.field import Surroundings, advance_fields
 from jaxform.model.scene import Scene
-from jaxform.sheet.energy_balance import pressure_at, rim_ends, rim_swept_volume
+from jaxform.sheet.energy_balance import pressure_at, pressure_work, rim_ends, rim_swept_volume
 from jaxform.sheet.scheme import add_by_tool, add_gravity, apply_tool_velocity, update_velocity
 from jaxform.tools.mold import ToolFrame, tool_velocity
 
@@ -103,7 +103,7 @@ def step(
             account,
             volume=volume,
             load_state=jax.tree.map(lambda old, new: jnp.where(moving.halted, old, new), last, pressed),
-            external_work=account.external_work + mean_pressure * swept,
+            external_work=account.external_work + pressure_work(mean_pressure, swept),
             damping_loss=account.damping_loss + taken.loss,
             tool_work=None if account.tool_work is None else account.tool_work + taken.work,
             contact_loss=account.contact_loss if taken.slid is None else account.contact_loss + taken.impact,

@@ -9,6 +9,7 @@ products with the tangent suffice.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -17,6 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.kernels.blocks import ArraySlice, lax_cond_once, materialize, over_blocks
+from jaxform.loads import RegionalLoad
 from jaxform.mechanics import constitutive, membrane
 from jaxform.mechanics.constitutive import instantaneous_memory
 from jaxform.mechanics.corners import Load, corner_force_changes
@@ -230,15 +232,44 @@ def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> j
         return step
     # The largest eigenvalue of a sum is at most the sum of the largest ones.
     slope, rise, compliance = _pressure_slope(state, scene, active)
-    more = jnp.maximum(-slope, 0.0) * jnp.sum(compliance * jnp.square(rise))
+    if isinstance(scene.pressure, RegionalLoad):
+        norms = jnp.maximum(-slope, 0.0) * jnp.sum(compliance * jnp.square(rise), axis=(1, 2))
+        more = _add_sides(norms, scene.pressure)
+    else:
+        more = jnp.maximum(-slope, 0.0) * jnp.sum(compliance * jnp.square(rise))
     return 2.0 / jnp.sqrt(jnp.square(2.0 / step) + more)
 
 
 def _pressure_slope(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Slopes of pressure by volume [Pa/m^3] and of volume by nodes (3, place) [m^2], and compliance [1/kg]."""
-    volume, rise = jax.value_and_grad(active.volume)(state.nodes.positions)
-    slope = jax.grad(lambda volume: present_pressure(state, scene, volume).pressure)(volume)
+    """Slopes of pressure by volume [Pa/m^3] and of volume by nodes (3, place) [m^2], and compliance [1/kg].
+
+    With loads of regions there are such of each (n_load, ...).
+    """
+    positions = state.nodes.positions
+    if isinstance(scene.pressure, RegionalLoad):
+        volume, rise = active.volume(positions), jax.jacrev(active.volume)(positions)
+        slope = jax.grad(lambda volume: jnp.sum(present_pressure(state, scene, volume).pressure))(volume)
+    else:
+        volume, rise = jax.value_and_grad(active.volume)(positions)
+        slope = jax.grad(lambda volume: present_pressure(state, scene, volume).pressure)(volume)
     return slope, rise, jnp.where(state.nodes.stuck, 0.0, active.compliance)
+
+
+def _add_sides(norms: jax.Array, load: RegionalLoad) -> jax.Array:
+    """Bound of the eigenvalues that loads of regions add, from those (n_load,) [1/s^2] that each adds by itself.
+
+    The pressure of each adds a product of rank one. Regions on one side of the sheet have no free node in common: their
+    products are orthogonal in the metric of the masses, and their sum has the largest of their norms.
+    """
+    return functools.reduce(jnp.add, [jnp.max(jnp.where(side, norms, 0.0)) for side in load.sides])
+
+
+def _volume_force_change(falling: tuple[jax.Array, ...], moved: jax.Array) -> jax.Array:
+    """Change of the nodal forces (3, place) by that of the pressures, from `_pressure_slope`, as nodes move."""
+    slope, rise, _ = falling
+    if slope.ndim == 0:
+        return slope * jnp.sum(rise * moved) * rise
+    return jnp.tensordot(slope * jnp.sum(rise * moved, axis=(1, 2)), rise, 1)
 
 
 class _Lanczos(NamedTuple):
@@ -309,8 +340,8 @@ def _highest_mode(
 
         inputs = gather_table(elements), active.mass, compliance, now.vector
         if falling is not None:
-            # The change of pressure with volume adds a product of rank one.
-            inputs = *inputs, falling[0] * jnp.sum(falling[1] * now.vector) * falling[1]
+            # The change of a pressure with its volume adds a product of rank one.
+            inputs = *inputs, _volume_force_change(falling, now.vector)
 
         def multiply_block(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array, *more: Any) -> Any:
             forces = membrane.vector(gather_shares(corners, own))

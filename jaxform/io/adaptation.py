@@ -66,7 +66,7 @@ def adapt_sheet(
         _recent[key] = made
     kept = dict(_recent[key])
     _warn_of_error(float(kept.pop(_ERROR, 0.0)), len(kept["triangles"]))
-    held = {name: kept.pop(name) for name in ("positions", "triangles", "clamped", "fixed")}
+    held: Any = {name: kept.pop(name) for name in ("positions", "triangles", "clamped", "fixed")}
     return Sheet(**held, fields=kept, snap=sheet.snap, guided=sheet.guided)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,7 +47,7 @@ class ProcessHistory(NamedTuple):
     Attributes:
         title: Title of the picture.
         time: The times [s], from 0 to the end of the run.
-        pressure: Pressure (n,) [Pa].
+        pressures: Pressures (n,) [Pa] by name: one without a name, or those of the gases of regions.
         displacements: Displacement (n,) [m] along the way of each tool that moves, the mold included, by name.
         contact: Share (n,) of the formed area in contact with each tool, the mold first, by name.
         colors: Colours of the tools, by name.
@@ -56,7 +57,7 @@ class ProcessHistory(NamedTuple):
 
     title: str
     time: Array
-    pressure: Array
+    pressures: dict[str, Array]
     displacements: dict[str, Array]
     contact: dict[str, Array]
     colors: dict[str, str]
@@ -91,7 +92,8 @@ def draw_process(path: str | Path, process: ProcessHistory) -> None:
 
 
 _SHORT = 0.2  # s: a shorter process is drawn over milliseconds
-_PRESSURE, _RELEASE = "#0072b2", "#8c2d04"
+_PRESSURES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+_RELEASE = "#8c2d04"
 
 
 def _label_release(axes: Any, time: float, words: str) -> None:
@@ -102,13 +104,19 @@ def _label_release(axes: Any, time: float, words: str) -> None:
 
 
 def _draw_pressure(axes: Any, process: ProcessHistory, time: Array) -> None:
-    largest = float(np.nanmax(np.abs(process.pressure), initial=0.0))
+    together = np.stack(list(process.pressures.values()))
+    largest = float(np.nanmax(np.abs(together), initial=0.0))
     factor, unit = (1e-5, "bar") if largest >= 1e6 else (1e-3, "kPa") if largest >= 1e3 else (1.0, "Pa")
-    axes.plot(time, factor * process.pressure, color=_PRESSURE, linewidth=2)
-    axes.fill_between(time, 0.0, factor * process.pressure, color=_PRESSURE, alpha=0.12, linewidth=0)
+    colors = itertools.cycle(_PRESSURES)
+    for (name, pressure), color in zip(process.pressures.items(), colors, strict=False):
+        axes.plot(time, factor * pressure, color=color, linewidth=2, label=name)
+        if len(together) == 1:
+            axes.fill_between(time, 0.0, factor * pressure, color=color, alpha=0.12, linewidth=0)
     axes.set_ylabel(f"pressure [{unit}]")
-    if np.nanmin(process.pressure, initial=0.0) >= 0.0:
+    if np.nanmin(together, initial=0.0) >= 0.0:
         axes.set_ylim(0.0, 1.12 * (factor * largest or 1.0))
+    if len(together) > 1:
+        axes.legend(frameon=False, loc="best")
 
 
 def _draw_displacements(axes: Any, process: ProcessHistory, time: Array) -> None:

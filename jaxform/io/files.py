@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import functools
 import hashlib
@@ -9,6 +10,7 @@ import io
 import sys
 import traceback
 import types
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +37,7 @@ from jaxform.io.geometry import (
 )
 from jaxform.io.scene_checks import warn_of_scene, warn_of_thin_features
 from jaxform.io.validation import validate
-from jaxform.loads import Loading, make_gas, make_pressure, make_two_sided_load
+from jaxform.loads import Loading, make_gas, make_pressure, make_regional_load, make_two_sided_load
 from jaxform.materials import LAWS, Law
 from jaxform.mesh import bisection, meshes, shapes
 from jaxform.mesh.grids import Profile
@@ -197,7 +199,7 @@ def build_unchecked(document: SceneDocument, store: Store | None = None, sheet: 
             refinement=refinement,
             forest=forest,
             material=_material(document, grown),
-            pressure=_loading(model),
+            pressure=_loading(document, sheet),
             solver=make_solver(
                 end_time=solver.end_time,
                 damping=solver.damping,
@@ -260,15 +262,42 @@ def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Tri
     return make_parison(sheet.positions, triangles, thickness, clamped, fixed, temperature, stretches, **own)
 
 
-def _loading(model: schema.SceneFile) -> Loading:
+def _loading(document: SceneDocument, sheet: shapes.Sheet) -> Loading:
     """The gases or the pressure history; a scene that gravity or a moving mold drives has no pressure."""
-    gases = [make_gas(**gas.model_dump(exclude_none=True)) for gas in model.gases]
+    model = document.model
+    if model.regional_gases:
+        return _regional_load(document, sheet)
+    gases = [make_gas(**gas.numbers) for gas in model.gases]
     if (table := model.pressure) is not None:
         pressure = make_pressure(table.time, table.value, table.interpolation)
         return make_two_sided_load(pressure, gases[0]) if gases else pressure
     if not gases:
         return make_pressure([0.0], [0.0])
     return gases[0] if len(gases) == 1 else make_two_sided_load(*gases)
+
+
+def _regional_load(document: SceneDocument, sheet: shapes.Sheet) -> Loading:
+    """The gases of regions of the sheet, and the pressure history on all of it, where one is given."""
+    model, masks = document.model, geometry.gas_regions(document, sheet)
+    loads: dict[str, tuple[Loading, Any]] = {}
+    if (table := model.pressure) is not None:
+        pressure = make_pressure(table.time, table.value, table.interpolation)
+        loads["inside"] = pressure, np.ones(len(sheet.triangles), bool)
+    for name, gas in model.regional_gases.items():
+        with _gas_errors(name):
+            loads[name] = make_gas(**gas.numbers), masks[name]
+    return make_regional_load(loads)
+
+
+@contextlib.contextmanager
+def _gas_errors(name: str) -> Iterator[None]:
+    """Errors inside about a gas are about that of this name."""
+    try:
+        yield
+    except InputError as error:
+        if not error.key.startswith("gas."):
+            raise
+        raise replace(error, key=f"gas.{name}.{error.key.removeprefix('gas.')}") from None
 
 
 def _extend_sheet(sheet: shapes.Sheet, forest: bisection.TriangleForest | None) -> shapes.Sheet:
@@ -288,8 +317,15 @@ def _refinement(
     roots, deepest = len(sheet.triangles), bisection.even_depth(max(table.max_level, table.base_level))
     elements = min(table.elements or default_capacity(roots), roots << deepest)
     refinement = make_refinement(**table.model_dump(exclude={"elements"}), elements=elements)
+    masks = list(geometry.gas_regions(document, sheet).values())
     made = bisection.build_forest(
-        sheet.positions, sheet.triangles, deepest, clamped=sheet.clamped, fixed=sheet.fixed, snap=sheet.snap
+        sheet.positions,
+        sheet.triangles,
+        deepest,
+        clamped=sheet.clamped,
+        fixed=sheet.fixed,
+        snap=sheet.snap,
+        region=bisection.number_regions(np.stack(masks)) if masks else None,
     )
     return refinement, made
 

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core import disk
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, warn_of
 from jaxform.core.store import Arrays, Store
 from jaxform.io import previous_results, schema
 from jaxform.io.scene_text import COVERS
 from jaxform.mesh import meshes, shapes
+from jaxform.mesh.bisection import number_regions
 from jaxform.mesh.grids import Profile
 from jaxform.mesh.meshes import Mesh
 from jaxform.model.part import Part, make_part, select_mold_files
@@ -60,6 +61,8 @@ def build_sheet(
     if table.mesh is not None:
         with error_context("", "parison.mesh"):
             sheet = read_sheet_mesh(sheet, disk.expand_path(table.mesh, document.folder))
+    if document.model.regional_gases:
+        sheet = _hold_borders(document, sheet)
     if table.adapt is None:
         return sheet
     from jaxform.io.adaptation import adapt_sheet  # runs scenes, whose sheets are made here
@@ -155,6 +158,8 @@ def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -
         if (radius := getattr(table, "radius", None)) is not None:
             local = isinstance(radius, schema.ProfileTable)
             given["radius"] = build_profile(radius, "parison.radius") if local else radius
+        if isinstance(table, schema.RectangleTable):
+            given["lines"] = [[place for one, place in _border_places(document) if one == axis] for axis in "xy"]
         return _BUILT_IN[type(table)](**given)
     if isinstance(table, schema.Outline):
         size = {"element_size": table.element_size, "elements": table.elements}
@@ -167,6 +172,106 @@ def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -
     size = table.element_size
     local = build_profile(size, "parison.element_size") if isinstance(size, schema.ProfileTable) else size
     return shapes.disc(radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry)
+
+
+# Regions of the sheet that gases push, and their borders.
+
+_BESIDE = 0.01  # of an element's side: borders that are as near to their place are there
+
+
+def gas_regions(document: SceneDocument, sheet: shapes.Sheet) -> dict[str, NDArray[np.bool_]]:
+    """The elements (n_element,) of a sheet that the gas of each region pushes, by name: those with a centroid there.
+
+    Raises:
+        InputError: A region is empty, or the mesh has no field of its name.
+    """
+    middles, found = sheet.positions[sheet.triangles].mean(1), {}
+    for name, gas in document.model.regional_gases.items():
+        own = np.ones(len(sheet.triangles), bool)
+        if isinstance(gas.region, str):
+            own = _marked_elements(sheet, gas.region, f"gas.{name}.region")
+        for one in _conditions(gas.region):
+            place = _place(one.along, middles)
+            own &= (place >= one.between[0]) & (place < one.between[1])
+        if not own.any():
+            raise _empty_region_error(name, gas.region, sheet)
+        found[name] = own
+    return found
+
+
+def _conditions(region: Any) -> list[schema.RegionTable]:
+    return region if isinstance(region, list) else [] if region is None or isinstance(region, str) else [region]
+
+
+def _place(along: str, positions: Array) -> Array:
+    return Profile(along, (0.0,), (1.0,), "gas.region").coordinate(positions)
+
+
+def _border_places(document: SceneDocument) -> list[tuple[str, float]]:
+    """Places [m] between which the conditions of regions are, with what they are along; each once."""
+    conditions = [one for gas in document.model.regional_gases.values() for one in _conditions(gas.region)]
+    return list(dict.fromkeys((one.along, place) for one in conditions for place in one.between))
+
+
+def _empty_region_error(name: str, region: Any, sheet: shapes.Sheet) -> InputError:
+    value = [one.model_dump() for one in region] if isinstance(region, list) else region
+    if isinstance(region, schema.RegionTable):
+        value = region.model_dump()
+    spans = [
+        f"{one.along} from {p.min():.4g} to {p.max():.4g} m"
+        for one in _conditions(region)
+        for p in [_place(one.along, sheet.positions)]
+    ]
+    remedy = f"the sheet has {', '.join(spans)}" if spans else "choose a value that the field has"
+    return InputError("holds the centroid of no element", remedy, f"gas.{name}.region", value)
+
+
+def _marked_elements(sheet: shapes.Sheet, region: str, key: str) -> NDArray[np.bool_]:
+    """The elements at which a field has a value, or is not 0 where none is given; of a nodal field at all nodes."""
+    name, _, number = region.removeprefix("field:").partition("=")
+    values = sheet.cell_fields.get(name)
+    if values is None:
+        if name not in sheet.fields:
+            known = ", ".join(sorted({*sheet.fields, *sheet.cell_fields})) or "none"
+            raise InputError("the mesh has no such field", f"its fields: {known}", key, region)
+        values = sheet.fields[name][sheet.triangles].T
+    marked = np.isclose(values, float(number)) if number else values != 0.0
+    return marked if marked.ndim == 1 else marked.all(0)
+
+
+def _hold_borders(document: SceneDocument, sheet: shapes.Sheet) -> shapes.Sheet:
+    """The sheet with its nodes on the borders of regions clamped, and, unless it is a mesh file, edges along these.
+
+    Pressures on both sides of a border differ, so that something holds the sheet there: a clamp grid, or the web
+    between two cavities. Nothing else keeps a border from sweeping volume, which belongs to no gas.
+    """
+    table = document.model.parison
+    free = not isinstance(table, schema.FileParison) and table.mesh is None
+    places = _border_places(document)
+    if free and not isinstance(table, schema.RectangleTable):
+        for along, place in places:
+            sheet = shapes.cut_sheet(sheet, lambda points, along=along, place=place: _place(along, points) - place)
+    masks = np.stack(list(gas_regions(document, sheet).values()))
+    held = shapes.clamp_borders(sheet, number_regions(masks), cut=free)
+    if not free and places:
+        _warn_of_ragged_borders(sheet, held, places)
+    if held.clamped.all():
+        key = f"gas.{next(iter(document.model.regional_gases))}.region"
+        raise InputError("leaves no node that is not clamped", "make elements smaller, or regions larger", key)
+    return held
+
+
+def _warn_of_ragged_borders(sheet: shapes.Sheet, held: shapes.Sheet, places: list[tuple[str, float]]) -> None:
+    """Warns where the mesh of a file has no edges on the borders of regions, so that these follow its edges beside."""
+    border = sheet.positions[held.clamped & ~sheet.clamped]
+    if not len(border):
+        return
+    away = np.min([np.abs(_place(along, border) - place) for along, place in places], axis=0)
+    corners = sheet.positions[sheet.triangles]
+    side = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
+    if away.max() > _BESIDE * side:
+        problem = f"has borders without edges of the mesh on them: the clamp is up to {away.max():.3g} m beside them"
+        warn_of(problem, "give a mesh with edges on the borders, or mark the regions by a field", key="gas.region")
 
 
 def build_profile(table: schema.ProfileTable, key: str) -> Profile:

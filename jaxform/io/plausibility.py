@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import format_place, warn_of
-from jaxform.loads import Gas, list_gases
+from jaxform.loads import Gas, RegionalLoad, list_gases
 from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
-from jaxform.mesh import topology, volumes
-from jaxform.model.scene import ContactSurface, Scene
+from jaxform.mesh import topology
+from jaxform.model.scene import ContactSurface, Scene, enclosed_volumes
 from jaxform.results.sections import symmetry_planes
 from jaxform.tools.crossings import nodal_normals, proper_crossings
 from jaxform.tools.distances import Distances
@@ -302,9 +302,8 @@ def warn_of_units(scene: Scene, file: str = "") -> None:
     _warn_of_shift(scene, file)
     if scene.cooling is not None and scene.parison.temperature is not None:
         _warn_of_surroundings(scene, scene.cooling, np.asarray(scene.parison.temperature, float), file)
-    gases = list_gases(scene.pressure)
-    for gas in gases:
-        _warn_of_gas(scene, gas, f"gas.{gas.closed_by}" if len(gases) > 1 else "gas", file)
+    for key, gas in list_gases(scene.pressure).items():
+        _warn_of_gas(scene, gas, key, file)
     _warn_of_friction(scene, file)
     _warn_of_motion(scene, file)
 
@@ -382,7 +381,9 @@ def _warn_of_gas(scene: Scene, gas: Gas, key: str, file: str) -> None:
         if (0.0 < value < limit) if name in least else value > limit:
             problem = f"is very {'small' if name in least else 'large'}: is it in {likely}?"
             warn_of(problem, f"give {unit}", key=f"{key}.{name}", value=value, file=file)
-    enclosed = volumes.enclosed_volume(np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles))
+    enclosed: Any = enclosed_volumes(scene.pressure, scene.parison)
+    if isinstance(scene.pressure, RegionalLoad):
+        enclosed = scene.pressure.own_volumes(enclosed)[scene.pressure.names.index(key.removeprefix("gas."))]
     pressures = gas.pushes(float(scene.solver.end_time), enclosed) * (1.0 if gas.closed_by == "clamp" else -1.0)
     if float(gas.mass_flow.min()) < 0.0 and pressures.min() <= -float(gas.ambient_pressure):
         problem = "takes out all of the gas before the run ends: its absolute pressure is 0 from then on"

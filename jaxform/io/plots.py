@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -124,7 +125,8 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     canvas.draw_bar(figure, colors, bar, "wall thickness [mm]", walls)
     time = np.linspace(0.0, max(float(scene.solver.end_time) for scene, _ in (before, after)), 400)
     pressures = [pressures_over_time(*part, time) for part in (before, after)]
-    same = bool(np.isnan(pressures).any()) or np.array_equal(pressures[0], pressures[1])
+    rows = [np.stack(list(each.values())) for each in pressures]
+    same = bool(np.isnan(rows).any()) or np.array_equal(rows[0], rows[1])
     count = 2 if same else 3
     width = 0.93 / count
     places = [(0.065 + k * width, 0.07, width - 0.075, 0.34) for k in range(count)]
@@ -331,9 +333,11 @@ def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> N
     axes.legend(frameon=False)
 
 
-def _draw_pressures(axes: Any, time: Array, before: Array, after: Array) -> None:
-    for value, color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
-        axes.plot(time, value / 1e3, color=color, label=words, linewidth=2)
+def _draw_pressures(axes: Any, time: Array, before: dict[str, Array], after: dict[str, Array]) -> None:
+    for values, color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
+        for (name, value), line in zip(values.items(), itertools.cycle(("-", "--", ":", "-.")), strict=False):
+            label = f"{name} {words}".strip()
+            axes.plot(time, value / 1e3, line, color=color, label=label, linewidth=2)
     axes.set(xlabel="time [s]", ylabel="pressure [kPa]")
     axes.legend(frameon=False)
 

@@ -13,7 +13,7 @@ from jaxform.core.pytree import as_real
 from jaxform.io.canvas import ProcessHistory
 from jaxform.io.plausibility import offsets_of
 from jaxform.io.surfaces import tool_colors
-from jaxform.loads import TwoSidedLoad, sample_pressure
+from jaxform.loads import RegionalLoad, TwoSidedLoad, sample_pressure
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 from jaxform.results.tool_contact import contact_shares, contact_shares_over_time, tool_label
@@ -31,9 +31,9 @@ def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
     """The process of a run; None where nothing changes over time: constant pressure, tools at rest, clamp closed."""
     tools = [surface.mold for surface in scene.surfaces]
     time = _times(scene, tools, float(result.time))
-    pressure = pressures_over_time(scene, result, time)
+    pressures = pressures_over_time(scene, result, time)
     release = _release_time(scene, float(time[-1]))
-    if not scene.moves and np.ptp(pressure) == 0.0 and release is None:
+    if not scene.moves and not any(np.ptp(pressure) for pressure in pressures.values()) and release is None:
         return None
     displacements = {
         tool_label(tool): offsets_of(tool, time) @ np.asarray(tool.motion.direction, float)
@@ -45,7 +45,7 @@ def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
     return ProcessHistory(
         title=f"{scene.name}: the process",
         time=time,
-        pressure=pressure,
+        pressures=pressures,
         displacements=displacements,
         contact=dict(zip(names, contact, strict=True)),
         colors=dict(zip(names, colors, strict=True)),
@@ -75,20 +75,26 @@ def _times(scene: Scene, tools: Sequence[Mold], end: float) -> Array:
     """Times (n,) [s] of the table: even ones, and the knots of pressure and motions."""
     knots = [np.asarray(tool.motion.time, float) for tool in tools if tool.motion is not None]
     load = scene.pressure
-    for part in (load.inside, load.trapped) if isinstance(load, TwoSidedLoad) else (load,):
+    parts = (load.inside, load.trapped) if isinstance(load, TwoSidedLoad) else (load,)
+    for part in load.loads if isinstance(load, RegionalLoad) else parts:
         own = getattr(part, "time", None)
         knots += [] if own is None else [np.atleast_1d(np.asarray(own, float))]
     found = np.concatenate([np.linspace(0.0, end, _TIMES), *knots])
     return np.unique(found[(found >= 0.0) & (found <= end)])
 
 
-def pressures_over_time(scene: Scene, result: Result, time: Array) -> Array:
-    """Pressures (n,) [Pa] at times (n,) [s]: those of the run where they follow the volume, NaN if it recorded none."""
+def pressures_over_time(scene: Scene, result: Result, time: Array) -> dict[str, Array]:
+    """Pressures (n,) [Pa] at times (n,) [s] by name: of loads of regions theirs, of all others one without a name.
+
+    They are those of the run where they follow the volume, NaN if it recorded none.
+    """
+    names = scene.pressure.names if isinstance(scene.pressure, RegionalLoad) else ("",)
     if result.pressures is not None:
-        return np.interp(time, *result.pressures)
+        recorded, *rows = result.pressures
+        return {name: np.interp(time, recorded, row) for name, row in zip(names, rows, strict=True)}
     if scene.pressure.follows_volume:
-        return np.full(len(time), np.nan)
-    return np.asarray(sample_pressure(scene.pressure, as_real(time)), float)
+        return {name: np.full(len(time), np.nan) for name in names}
+    return {"": np.asarray(sample_pressure(scene.pressure, as_real(time)), float)}
 
 
 def _contact(result: Result, time: Array, count: int) -> Array:
@@ -111,7 +117,8 @@ def write_process(history: ProcessHistory | None, folder: Path) -> None:
         for name in (TABLE, PICTURE):
             (folder / name).unlink(missing_ok=True)
         return
-    columns = {"time": history.time, "pressure": history.pressure}
+    columns = {"time": history.time}
+    columns |= {f"pressure_{name}" if name else "pressure": values for name, values in history.pressures.items()}
     columns |= {f"displacement_{name}": values for name, values in history.displacements.items()}
     columns |= {f"contact_{name}": values for name, values in history.contact.items()}
     rows = np.stack(list(columns.values()), axis=1)

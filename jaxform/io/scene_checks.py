@@ -338,7 +338,7 @@ def _warn_of_bare(seen: Survey, overlap: float, radius: float, middle: Array, fi
 def _warn_of_side(scene: Scene, seen: Survey, boxes: str, file: str) -> None:
     what = f"the pressure pushes the sheet {seen.direction}, away from the mold"
     share = f"{100 * seen.ahead:.3g} % of its area lies on that side, {100 * seen.behind:.3g} % on the other"
-    gases = list_gases(scene.pressure)
+    gases = list_gases(scene.pressure).values()
     turned = "draw a vacuum (gas.supply_pressure below 0), " if any(gas.closed_by == "mold" for gas in gases) else ""
     turned = turned if gases else "turn the sign of pressure.value, "
     remedy = f"{turned}turn the sheet (parison.flip), or move or turn the mold"

@@ -164,7 +164,8 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
         data, sections = data["tool"][place], sections[2:]
     if sections[:1] == ["gas"] and len(sections) == 2:
         tables = data["gas"] if isinstance(data["gas"], list) else [data["gas"]]
-        ours = [table for table in tables if table.get("closed_by", "clamp") == sections[1]]
+        place = _find_gas(tables, sections[1])
+        ours = [] if place is None else [tables[place]]
         # Without a gas inside the sheet, its pressure history is there.
         data, sections = (ours or [data.setdefault("pressure", {})])[0], []
     for section in sections:
@@ -177,6 +178,12 @@ def _find_tool(tables: Any, name: str) -> int | None:
     from jaxform.io.schema import find_tool  # takes pydantic to import, which `inline` alone does not need
 
     return find_tool(tables, name)
+
+
+def _find_gas(tables: Any, name: str) -> int | None:
+    from jaxform.io.schema import find_gas  # as above
+
+    return find_gas(tables, name)
 
 
 def _toml(data: Mapping[str, Any]) -> str:
@@ -203,8 +210,9 @@ _SIDES = {"clamp": "inside", "mold": "trapped"}  # loads of a `TwoSidedLoad`, by
 def replacement_path(key: str) -> str:
     """The path for `jaxform.replace` of a key of a scene file.
 
-    tool.plug.friction is tools.plug.contact.friction, gas.mass_flow is pressure.mass_flow, and where there are loads on
-    both sides, gas.mold.vent_area is pressure.trapped.vent_area.
+    tool.plug.friction is tools.plug.contact.friction, gas.mass_flow is pressure.mass_flow, where there are loads on
+    both sides, gas.mold.vent_area is pressure.trapped.vent_area, and of the gas of a region gas.left.mass_flow is
+    pressure.left.mass_flow.
     """
     steps = key.split(".")
     if steps[0] == "tool" and len(steps) == 3:

@@ -182,7 +182,9 @@ Pair = tuple[jax.Array, jax.Array]
 
 
 class TwiceDifferentiable:
-    """Called with a load and elements, gives nodal values (3, place) and a number, with their derivatives.
+    """Called with a load and elements, gives nodal values (3, place) and numbers of the shape of the pressure.
+
+    The load's first leaves are its positions, its thickness and its pressure.
 
     Leaves of both are flat arguments of the operations; how many of them are the load's, and which of these have a
     tangent (`present`), or a second one (`bent`), is static.
@@ -356,12 +358,12 @@ def _primitive(name: str, function: Callable[..., Any]) -> Primitive:
     primitive = Primitive(name)
     primitive.multiple_results = True
     primitive.def_impl(lambda *leaves, **static: jax.jit(partial(function, **static))(*leaves))
-    primitive.def_abstract_eval(lambda positions, *_, **__: _twice_result_types(positions))
+    primitive.def_abstract_eval(lambda positions, _, pressure, *__, **___: _twice_result_types(positions, pressure))
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=True))
     batching.primitive_batchers[primitive] = partial(_batch_twice, function)
     return primitive
 
 
-def _twice_result_types(positions: Any) -> list[Any]:
+def _twice_result_types(positions: Any, pressure: Any) -> list[Any]:
     """The types of both results, known without tracing the function."""
-    return [ShapedArray(positions.shape, positions.dtype), ShapedArray((), positions.dtype)]
+    return [ShapedArray(positions.shape, positions.dtype), ShapedArray(pressure.shape, positions.dtype)]

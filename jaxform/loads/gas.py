@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax
@@ -425,7 +427,124 @@ def make_two_sided_load(inside: Loading, trapped: Gas) -> TwoSidedLoad:
     return TwoSidedLoad(inside, trapped)
 
 
-def list_gases(load: Loading) -> list[Gas]:
-    """The gases of a load."""
-    parts = (load.inside, load.trapped) if isinstance(load, TwoSidedLoad) else (load,)
-    return [part for part in parts if isinstance(part, Gas)]
+# Loads of regions of the sheet, such as the gases of several cavities.
+
+
+@loading
+class RegionalLoad(Loading):
+    """Loads of several regions of the sheet, such as the gases of several cavities, each with a volume of its own.
+
+    The pressure on an element is the sum of the pressures of the regions that it belongs to. The borders of the regions
+    do not move, so that each volume follows from the elements of its region alone. Numbers of a load have the path
+    `pressure.NAME.mass_flow`.
+
+    Attributes:
+        loads: The load of each region.
+        names: Their names; none in a padded scene.
+        regions: True for the elements of the initial mesh that each load pushes (n_load, n_element); None in a padded
+            scene.
+        border_volume: Volume between the plane of each region's border and the origin (n_load,) [m^3], which the
+            enclosed volumes contain and a gas does not fill.
+    """
+
+    follows_volume: ClassVar[bool] = True
+
+    loads: tuple[Loading, ...] = dataclasses.field(metadata={"part": True})
+    names: tuple[str, ...] = static(default=())
+    regions: jax.Array | None = dataclasses.field(default=None, metadata={"part": True})
+    border_volume: jax.Array | None = dataclasses.field(default=None, metadata={"part": True})
+
+    @property
+    def sides(self) -> list[np.ndarray]:
+        """Masks (n_load,) of the loads inside the sheet and of those trapped in the mold, without an empty one."""
+        trapped = np.array([getattr(load, "closed_by", "") == "mold" for load in self.loads])
+        return [side for side in (~trapped, trapped) if side.any()]
+
+    def index(self, name: str) -> int | None:
+        """The index of the load of this name, or with this number as text; None where there is none."""
+        if name in self.names:
+            return self.names.index(name)
+        return int(name) if name.isdecimal() and int(name) < len(self.loads) else None
+
+    def start(self, volume: jax.Array) -> Any:
+        """The states of the loads, with enclosed volumes (n_load,) [m^3]."""
+        return tuple(load.start(own) for load, own in zip(self.loads, self.own_volumes(volume), strict=True))
+
+    def after(self, state: Any, interval: Interval) -> Any:
+        """The states of the loads at the end of an interval, whose volumes are (n_load,)."""
+        before, volume = self.own_volumes(interval.before), self.own_volumes(interval.volume)
+        return tuple(
+            None if state is None else load.after(state, Interval(interval.time, interval.length, *own))
+            for load, state, *own in zip(self.loads, state, before, volume, strict=True)
+        )
+
+    def at(self, time: jax.Array, volume: jax.Array, state: Any) -> jax.Array:
+        """Pressures (n_load,) [Pa] of the loads."""
+        rows = zip(self.loads, self.own_volumes(volume), state, strict=True)
+        return jnp.stack([load.at(time, own, *(() if state is None else (state,))) for load, own, state in rows])
+
+    def pushes(self, end_time: float, volume: Any) -> np.ndarray:
+        """The pressures [Pa] of all loads, but of those trapped in the mold only where there are no others."""
+        found = [
+            (getattr(load, "closed_by", "") == "mold", load.pushes(end_time, float(own)))
+            for load, own in zip(self.loads, self.own_volumes(np.asarray(volume)), strict=True)
+        ]
+        inside = [pressures for trapped, pressures in found if not trapped]
+        return np.concatenate(inside or [pressures for _, pressures in found])
+
+    def own_volumes(self, volume: Any) -> list[Any]:
+        """The volume [m^3] of each region above the plane of its border."""
+        own = volume if self.border_volume is None else volume - self.border_volume
+        return [own[k] for k in range(len(self.loads))]
+
+
+def make_regional_load(loads: Mapping[str, tuple[Loading, ArrayLike]]) -> RegionalLoad:
+    """Loads of regions of the sheet, by name, each with a mask (n_element,) of the elements that it pushes.
+
+    The nodes on the border of a region have to be clamped. A `Pressure` may push the whole sheet and gases closed by
+    the mold its regions: the pressure on an element is the sum.
+
+    Raises:
+        InputError: There is no load, a name or a load is not possible, a region is empty, or two regions on the same
+            side of the sheet have an element in common.
+    """
+    if not loads:
+        raise InputError("has no load", "give {name: (load, mask of its elements)}", "pressure")
+    taken = {*(each.name for each in dataclasses.fields(Gas)), "value", "inside", "trapped", "clamp", "mold"}
+    for name, (load, _) in loads.items():
+        if not name.replace("-", "_").isidentifier() or name in taken - {"inside"}:
+            remedy = "use letters, digits, - and _, such as left or cavity-2, and no word that names a key of a gas"
+            raise InputError("cannot be the name of a gas", remedy, "gas.name", name)
+        if not isinstance(load, Loading) or isinstance(load, TwoSidedLoad | RegionalLoad):
+            raise InputError("is not a load of a region", "use make_gas or make_pressure", f"gas.{name}")
+    sizes = {np.shape(mask) for _, mask in loads.values()}
+    if len(sizes) > 1 or len(sizes.pop()) != 1:
+        raise InputError("do not fit together", "give a mask (n_element,) for each region", "pressure.regions")
+    regions = np.stack([np.asarray(mask, bool) for _, mask in loads.values()])
+    _check_regions(list(loads), [getattr(load, "closed_by", "clamp") for load, _ in loads.values()], regions)
+    return RegionalLoad(tuple(load for load, _ in loads.values()), tuple(loads), jnp.asarray(regions))
+
+
+def _check_regions(names: list[str], sides: list[str], regions: np.ndarray) -> None:
+    """Raises InputError where a region (n_load, n_element) is empty, or shares elements with another on its side."""
+    for name, own in zip(names, regions, strict=True):
+        if not own.any():
+            remedy = "compare the region with the extent of the sheet (`jaxform check`), or make elements smaller"
+            raise InputError("holds the centroid of no element", remedy, f"gas.{name}.region")
+    for one, other in itertools.combinations(range(len(names)), 2):
+        common = np.flatnonzero(regions[one] & regions[other])
+        if len(common) and sides[one] == sides[other]:
+            problem = f"has {len(common)} elements in common with that of {names[other]}, the first is {common[0]}"
+            remedy = "let the regions on one side of the sheet not overlap"
+            raise InputError(problem, remedy, f"gas.{names[one]}.region")
+
+
+def list_gases(load: Loading) -> dict[str, Gas]:
+    """The gases of a load, by the key of a scene file that they have."""
+    parts: dict[str, Any] = {"gas": load}
+    if isinstance(load, TwoSidedLoad):
+        both = isinstance(load.inside, Gas)
+        parts = {"gas.clamp": load.inside, "gas.mold" if both else "gas": load.trapped}
+    elif isinstance(load, RegionalLoad):
+        parts = {f"gas.{name}": own for name, own in zip(load.names, load.loads, strict=True)}
+    return {key: part for key, part in parts.items() if isinstance(part, Gas)}

@@ -97,7 +97,7 @@ class LoadState:
     """State of a loading that follows the volume, at the start of a step.
 
     Attributes:
-        pressure: [Pa].
+        pressure: [Pa]; of loads of regions (n_load,).
         state: State of a loading with a history; None for the others.
     """
 
@@ -106,9 +106,9 @@ class LoadState:
 
 
 def first_pressure(loading: Loading, volume: jax.Array) -> LoadState:
-    """The state of a loading at time 0, with this enclosed volume [m^3]."""
+    """The state of a loading at time 0, with this enclosed volume [m^3], of loads of regions (n_load,)."""
     state = jax.tree.map(_array, loading.start(volume))
-    return LoadState(_pressure(loading, jnp.zeros_like(volume), volume, state), state)
+    return LoadState(_pressure(loading, jnp.zeros_like(volume, shape=()), volume, state), state)
 
 
 def next_pressure(loading: Loading, last: LoadState, interval: Interval) -> LoadState:

@@ -29,13 +29,17 @@ from jaxform.mechanics.elements import (
     ElementBlock,
     Elements,
     add_overflow,
+    by_region,
     combine_pairs,
     edge_vectors,
     element_block,
     element_metrics,
     element_normals,
     map_elements,
+    on_elements,
     orient,
+    region_count,
+    sum_regions,
     usage_factor,
 )
 from jaxform.mechanics.membrane import Metric, Vector, cross, dot, edges, metric, minus, plus, unstack_rows
@@ -47,7 +51,7 @@ class Load(NamedTuple):
     Attributes:
         positions: (3, place) [m]; or its rows, where no derivative is taken.
         thickness: Initial thickness (capacity,) [m].
-        pressure: A number [Pa].
+        pressure: A number [Pa]; of loads of regions (n_load,).
         material: The law with its parameters; those that vary over the sheet for each element (..., capacity).
         memory: History of the Prony terms (..., capacity); None without Prony terms.
     """
@@ -85,10 +89,11 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
         corners, volume, _ = _forces(
             rows, block, thickness, load.pressure, elements.origin, response.with_numbers(zones)
         )
-        return combine_pairs(corners, block), [volume]
+        return combine_pairs(corners, block), by_region(volume, block.regions)
 
-    corners, (volume,) = map_elements(work, elements, (load.thickness, response.zones), into)
-    return add_overflow(corners, elements), volume / 6.0
+    count = region_count(elements.regions)
+    corners, volumes = map_elements(work, elements, (load.thickness, response.zones), into, count)
+    return add_overflow(corners, elements), sum_regions(volumes, elements.regions) / 6.0
 
 
 HistoryUpdate = tuple[jax.Array, jax.Array]
@@ -110,13 +115,15 @@ def viscous_corner_forces(
         assert found is not None
         rate = (block_modes or modes).loss(found.modes, found.strained)
         lost = jnp.where(block.area > 0.0, block.area * thickness * rate, 0.0)
-        return [found.advance_history(_of_block(recursion, varying)), *combine_pairs(corners, block)], [volume, lost]
+        sums = [*by_region(volume, block.regions), lost]
+        return [found.advance_history(_of_block(recursion, varying)), *combine_pairs(corners, block)], sums
 
     inputs = element_block(elements), load.thickness, zones, _varying_factors(recursion), _per_element_modes(modes)
-    (rest, *corners), (volume, loss) = over_blocks(
-        work, elements.block_count, inputs, [memory.history, *into], sums=2, update=1, kept=False
+    count = region_count(elements.regions) + 1
+    (rest, *corners), (*volumes, loss) = over_blocks(
+        work, elements.block_count, inputs, [memory.history, *into], sums=count, update=1, kept=False
     )
-    return add_overflow(corners, elements), volume / 6.0, (rest, loss)
+    return add_overflow(corners, elements), sum_regions(volumes, elements.regions) / 6.0, (rest, loss)
 
 
 def update_history(load: Load, elements: Elements, modes: Modes, recursion: Recursion) -> HistoryUpdate:
@@ -186,15 +193,15 @@ def _forces(
     (first, edge1, edge2), normal = sides, element_normals(sides, block)
     g = metric(edge1, edge2)
     s, found = materialize_stress(g, block.inverse_metric, block.area * thickness, response)
-    push = scale(pressure / 6.0, normal)
+    push = scale(on_elements(pressure, block.regions) / 6.0, normal)
     pull2, pull3 = edge_forces(s, edge1, edge2)
     arm = minus(first, origin)
     return corner_shares(push, pull2, pull3), dot(arm, normal), found
 
 
-def pressure_share(pressure: jax.Array, area: jax.Array) -> jax.Array:
+def pressure_share(pressure: jax.Array, block: ElementBlock) -> jax.Array:
     """A node's share of the pressure on an element (n,) [Pa]: nothing where the place is not in use."""
-    return jnp.where(area > 0.0, pressure / 6.0, 0.0)
+    return jnp.where(block.area > 0.0, on_elements(pressure, block.regions) / 6.0, 0.0)
 
 
 def scale(factor: jax.Array | float, v: Vector) -> Vector:
@@ -233,7 +240,7 @@ def corner_force_tangent(load: Load, elements: Elements, change: Load, into: Cor
         present = response.with_numbers(zones)
         (first, edge1, edge2), *others = sides = edge_vectors(block, *looked)
         normal, inverse, area = element_normals(sides[0], block), block.inverse_metric, block.area
-        g, weight, share = metric(edge1, edge2), area * thickness, pressure_share(load.pressure, area)
+        g, weight, share = metric(edge1, edge2), area * thickness, pressure_share(load.pressure, block)
         changes: list[Metric] = []
         pull2 = pull3 = push = scale(jnp.zeros_like(area), normal)
         volume = jnp.zeros_like(area)
@@ -256,13 +263,13 @@ def corner_force_tangent(load: Load, elements: Elements, change: Load, into: Cor
             more2, more3 = edge_forces(materialize(total), edge1, edge2)
             pull2, pull3 = plus(pull2, more2), plus(pull3, more3)
         if change.pressure is not None:
-            push = plus(push, scale(change.pressure / 6.0, normal))
+            push = plus(push, scale(on_elements(change.pressure, block.regions) / 6.0, normal))
         pull2, pull3, push = materialize((pull2, pull3, push))
-        return combine_pairs(corner_shares(push, pull2, pull3), block), [volume]
+        return combine_pairs(corner_shares(push, pull2, pull3), block), by_region(volume, block.regions)
 
     inputs = load.thickness, zones, zone_changes, *thickened
-    corners, (volume,) = map_elements(work, elements, inputs, into)
-    return add_overflow(corners, elements), volume / 6.0
+    corners, volumes = map_elements(work, elements, inputs, into, region_count(elements.regions))
+    return add_overflow(corners, elements), sum_regions(volumes, elements.regions) / 6.0
 
 
 def _parameter_changes(load: Load, change: Load) -> dict[str, jax.Array]:

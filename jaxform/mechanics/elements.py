@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -50,6 +51,8 @@ class Elements:
         overflow_count: Number of these in use.
         block_count, node_block_count: Blocks of elements, and of nodes, in use.
         row_count: Rows of `slots` in use, of each block of nodes (n_node_block,).
+        regions: True for the elements that each of several loads pushes (n_load, capacity); None where one load pushes
+            all of them.
     """
 
     triangles: jax.Array
@@ -64,6 +67,7 @@ class Elements:
     block_count: jax.Array
     node_block_count: jax.Array
     row_count: jax.Array
+    regions: jax.Array | None = None
 
 
 def typical_row_count(paired: bool) -> int:
@@ -148,11 +152,35 @@ class ElementBlock(NamedTuple):
     inverse_metric: jax.Array
     area: jax.Array
     orientation: jax.Array | None
+    regions: jax.Array | None
 
 
 def element_block(elements: Elements) -> ElementBlock:
     """The element arrays that a pass over the elements reads."""
-    return ElementBlock(elements.triangles, elements.inverse_metric, elements.area, elements.orientation)
+    own = elements.triangles, elements.inverse_metric, elements.area, elements.orientation
+    return ElementBlock(*own, elements.regions)
+
+
+def on_elements(values: jax.Array, regions: jax.Array | None) -> jax.Array:
+    """A number of the load on elements (n,): that of the whole sheet, or the sum of those (n_load,) of its regions."""
+    if regions is None:
+        return values
+    return functools.reduce(jnp.add, [jnp.where(own, values[k], 0.0) for k, own in enumerate(regions)])
+
+
+def by_region(values: jax.Array, regions: jax.Array | None) -> list[jax.Array]:
+    """Values of elements (n,) to be summed up: for the whole sheet, or for each region, 0 outside of it."""
+    return [values] if regions is None else [jnp.where(own, values, 0.0) for own in regions]
+
+
+def sum_regions(sums: Sequence[jax.Array], regions: jax.Array | None) -> jax.Array:
+    """The sums of `by_region` over all elements, as one number or (n_load,)."""
+    return sums[0] if regions is None else jnp.stack(sums)
+
+
+def region_count(regions: jax.Array | None) -> int:
+    """The number of sums of `by_region`."""
+    return 1 if regions is None else len(regions)
 
 
 EdgeVectors = tuple[Vector, Vector, Vector]

@@ -32,12 +32,16 @@ from jaxform.mechanics.elements import (
     Elements,
     add_overflow,
     allocate_corner_forces,
+    by_region,
     combine_pairs,
     edge_vectors,
     element_block,
     element_normals,
     nodal_sum,
+    on_elements,
     orient,
+    region_count,
+    sum_regions,
     usage_factor,
 )
 from jaxform.mechanics.membrane import Vector, cross, dot, metric, minus, plus, unstack_rows
@@ -87,7 +91,7 @@ def corner_cotangents(
         present = response.with_numbers(zones)
         (first, edge1, edge2), *pushes = sides = edge_vectors(block, *looked)
         normal, inverse, area = element_normals(sides[0], block), block.inverse_metric, block.area
-        weight, pressure = area * thickness, pressure_share(load.pressure, area)
+        weight, pressure = area * thickness, pressure_share(load.pressure, block)
         sums: list[jax.Array] = []
         force_shares: list[Vector] = []
         first_cotangent = edge1_cotangent = edge2_cotangent = scale(jnp.zeros_like(area), normal)
@@ -98,7 +102,8 @@ def corner_cotangents(
             g, g_change = metric(edge1, edge2), materialize(metric_change(edge1, edge2, w1, w2))
             s, ds = stress_and_change(g, g_change, inverse, weight, present)
             if forces:
-                force_shares = corner_shares(scale(load.pressure / 6.0, normal), *edge_forces(s, edge1, edge2))
+                push = scale(on_elements(load.pressure, block.regions) / 6.0, normal)
+                force_shares = corner_shares(push, *edge_forces(s, edge1, edge2))
             if moves:
                 pull1, pull2 = edge_forces(ds, edge1, edge2)
                 more1, more2 = edge_forces(s, w1, w2)
@@ -110,7 +115,7 @@ def corner_cotangents(
             if thickens:
                 old[0] = [old[0][0] + dot(half_change, s)]
             if presses:
-                sums.append(dot(normal, total) / 6.0)
+                sums.extend(by_region(dot(normal, total) / 6.0, block.regions))
             if varies or wanted_zones:
                 spread = {name: zones[name] for name in wanted_zones}
                 if varies:
@@ -123,11 +128,12 @@ def corner_cotangents(
                 if varies:
                     sums.extend(row for name in single for row in found[name])
         if volume is not None and moves:
-            share = usage_factor(area) * (volume / 6.0)
+            pushed_out = on_elements(volume, block.regions)
+            share = usage_factor(area) * (pushed_out / 6.0)
             turn = plus(turn, scale(share, minus(first, elements.origin)))
-            first_cotangent = scale(volume / 6.0, normal)
+            first_cotangent = scale(pushed_out / 6.0, normal)
         if forces:
-            sums.append(dot(minus(first, elements.origin), normal) / 6.0)
+            sums.extend(by_region(dot(minus(first, elements.origin), normal) / 6.0, block.regions))
         if not moves:
             return old, sums
         turn = materialize(orient(turn, block))
@@ -138,13 +144,14 @@ def corner_cotangents(
         return [*old, *combine_pairs(corners, block)], sums
 
     numbers = sum(number.size for number in single.values()) if varies else 0
-    count = 0 if pushed is None else int(presses) + numbers + int(forces)
+    regions = region_count(elements.regions)
+    count = 0 if pushed is None else (int(presses) + int(forces)) * regions + numbers
     inputs = element_block(elements), load.thickness, zones
     outputs = [*summed, *into]
     arrays, sums = over_blocks(work, elements.block_count, inputs, outputs, sums=count, update=len(summed))
     corners = [array for k in range(len(summed), len(arrays), 3) for array in add_overflow(arrays[k : k + 3], elements)]
     if numbers and pushed is not None:
-        begin = int(presses)
+        begin = int(presses) * regions
         sums[begin : begin + numbers] = _order_sums(sums[begin : begin + numbers], list(single.values()))
     return corners, arrays[: len(summed)], sums
 
@@ -216,7 +223,8 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
     if thickens:
         found[1] = summed[0][0] / load.thickness
     if presses:
-        found[2] = sums.pop(0)
+        count = region_count(elements.regions)
+        found[2], sums = sum_regions(sums[:count], elements.regions), sums[count:]
     numbers = zone_cotangents(load, wanted, summed) | dict(zip(load.response.single, sums, strict=False))
     for k, name in enumerate(load.response.numbers, 3):
         found[k] = numbers[name] if wanted[k] else None

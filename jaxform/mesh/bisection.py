@@ -60,6 +60,15 @@ class TriangleForest:
         """The level of each triangle (n_triangle,)."""
         return np.repeat(np.arange(self.depth + 1), self.root_count << np.arange(self.depth + 1)).astype(np.int32)
 
+    def inherit(self, roots: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Values (..., n_triangle) of all triangles, which have those of the first ones (..., n_root)."""
+        return np.concatenate([np.repeat(roots, 1 << level, axis=-1) for level in range(self.depth + 1)], axis=-1)
+
+
+def number_regions(regions: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """A number (n_root,) for each set of regions that triangles belong to, from their masks (n_region, n_root)."""
+    return np.unique(regions, axis=1, return_inverse=True)[1].reshape(-1)
+
 
 def extend_values(values: NDArray[np.floating], ends: NDArray[np.integer], depth: int) -> NDArray[np.floating]:
     """Values at all nodes (n_node, ...) from those at the mesh's: new nodes have the mean of their ends (n_node, 2)."""
@@ -83,6 +92,7 @@ def build_forest(
     clamped: NDArray[np.bool_] | None = None,
     fixed: NDArray[np.bool_] | None = None,
     snap: Snap | None = None,
+    region: NDArray[np.integer] | None = None,
 ) -> TriangleForest:
     """Bisects a conforming mesh of consistently oriented triangles.
 
@@ -94,6 +104,8 @@ def build_forest(
         fixed: Components (n_node, 3) that never move; none by default.
         snap: Puts the middles (n, 3) of edges with ends (n, 2, 3) [m] on the true surface, told which (n,) are on the
             mesh's boundary; none by default.
+        region: Number of each triangle's region (n_root,): a side between two regions whose ends are clamped does not
+            move. One region by default.
 
     Raises:
         InputError: If an edge has more than two triangles, or two neighbours turn opposite ways.
@@ -120,7 +132,7 @@ def build_forest(
     slots = _root_slots(level, count)
     held = immobile[level].all(1)  # a triangle that cannot move at all stays so in its parts
     rim = _rim(level)
-    still = _fixed_sides(level, rim, held, immobile)
+    still = _fixed_sides(level, rim, held, immobile, region)
     levels, middles, all_slots = [level], [], [slots]
     for _ in range(depth):
         node, nodes = _add_middle_nodes(nodes, level[:, 1:], rim[:, 1], still[:, 1], snap)
@@ -161,14 +173,27 @@ def _rim(triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _fixed_sides(
-    triangles: NDArray[np.int64], rim: NDArray[np.bool_], held: NDArray[np.bool_], clamped: NDArray[np.bool_]
+    triangles: NDArray[np.int64],
+    rim: NDArray[np.bool_],
+    held: NDArray[np.bool_],
+    clamped: NDArray[np.bool_],
+    region: NDArray[np.integer] | None,
 ) -> NDArray[np.bool_]:
-    """Sides (n, 3) that do not move: of a triangle that cannot, or of a rim that does not."""
-    half = _half_edges(triangles)
-    still = np.zeros(int(half.max(initial=0)) // 2 + 1, bool)
-    still[half[held] >> 1] = True
+    """Sides (n, 3) that do not move: of a triangle that cannot, or of a rim or a border of regions that does not."""
+    side = _half_edges(triangles) >> 1
+    still = np.zeros(int(side.max(initial=0)) + 1, bool)
+    still[side[held]] = True
     ends = clamped[triangles] & clamped[np.roll(triangles, -1, axis=1)]
-    return still[half >> 1] | rim & ends
+    return still[side] | (rim if region is None else rim | _border_sides(side, region)) & ends
+
+
+def _border_sides(side: NDArray[np.int32], region: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Mask (n, 3) of the sides, by number, between triangles (n,) of different regions."""
+    count = int(side.max(initial=0)) + 1
+    low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, np.iinfo(np.int64).min)
+    np.minimum.at(low, side, region[:, None])
+    np.maximum.at(high, side, region[:, None])
+    return (low < high)[side]
 
 
 def _child_sides(sides: NDArray[np.bool_], cut: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import outlines
+from jaxform.mesh import outlines, topology
 from jaxform.mesh.bisection import Snap
 from jaxform.mesh.rows import positions_in_rows
 from jaxform.mesh.volumes import longest_sides
@@ -380,21 +380,5 @@ def _split_chords(points: Array, triangles: Index, rim: int) -> tuple[Array, NDA
             if side[1] < rim and side not in outer and side not in middle:
                 middle[side] = len(places)
                 places.append(0.5 * (points[side[0]] + points[side[1]]))
-        cut += split_triangle(triangle, [middle.get(side) for side in sides])
+        cut += topology.split_triangle(triangle, [middle.get(side) for side in sides])
     return np.array(places), np.array(cut, np.int32)
-
-
-def split_triangle(triangle: list[int], middles: list[int | None]) -> list[list[int]]:
-    """A triangle cut at the middles of its sides, the first of which starts at its first corner."""
-    count = sum(middle is not None for middle in middles)
-    if count == 0:
-        return [triangle]
-    # Turned so that the first side is cut, and the second of two; then each case is one.
-    turn = next(k for k in range(3) if middles[k] is not None and (count != 2 or middles[(k + 1) % 3] is not None))
-    a, b, c = triangle[turn:] + triangle[:turn]
-    ab, bc, ca = (-1 if middle is None else middle for middle in middles[turn:] + middles[:turn])
-    if count == 1:
-        return [[a, ab, c], [ab, b, c]]
-    if count == 2:
-        return [[ab, b, bc], [a, ab, bc], [a, bc, c]]
-    return [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -125,6 +126,7 @@ class Sheet:
         fixed: Components of the nodes that symmetry planes hold, shape (n, 3), bool.
         fields: Scalars at the nodes by name, shape (n,), float64.
         guided: Axes (0 to 2) along which the ends are guided: they stay in planes that are no planes of symmetry.
+        cell_fields: Scalars of the triangles by name, shape (m,), float64.
         snap: Puts the middles (k, 3) of edges with ends (k, 2, 3) [m] on the true surface or rim, told which (k,) are
             on the boundary; None where edges are straight.
     """
@@ -136,6 +138,7 @@ class Sheet:
     fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     snap: Snap | None = None
     guided: tuple[int, ...] = ()
+    cell_fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
 def disc(
@@ -217,6 +220,7 @@ def rectangle(
     element_size: float | None = None,
     elements: int | None = None,
     symmetry: Symmetry = "none",
+    lines: Sequence[Sequence[float]] = ((), ()),
 ) -> Sheet:
     """A sheet over [0, a] x [0, b] in z = 0 with normals +z and clamped outer edges.
 
@@ -228,6 +232,7 @@ def rectangle(
         elements: About how many triangles, in the modelled part.
         symmetry: 'half' keeps [0, a/2] x [0, b], 'quarter' [0, a/2] x [0, b/2]; cut edges are free in their
             plane.
+        lines: Places along x, and along y [m], at which edges of elements lie on a line across the sheet.
 
     Returns:
         The sheet; nodes run along y first.
@@ -246,7 +251,13 @@ def rectangle(
     cells = [n if axis in PLANES[symmetry] else n + n % 2 for axis, n in enumerate(cells)]
     check_count(2 * math.prod(cells), element_size)
 
-    x, y = (length * (np.arange(n + 1) / n) for length, n in zip(extent, cells, strict=True))
+    along = [length * (np.arange(n + 1) / n) for length, n in zip(extent, cells, strict=True)]
+    for axis, places in enumerate(lines):
+        if inner := sorted(place for place in set(places) if 0.0 < place < extent[axis]):
+            along[axis] = _grid_through(inner, extent[axis], cells[axis], axis in PLANES[symmetry])
+    cells = [len(places) - 1 for places in along]
+    check_count(2 * math.prod(cells), element_size)
+    x, y = along
     x, y = (grid.ravel() for grid in np.meshgrid(x, y, indexing="ij"))
     positions = np.stack([x, y, np.zeros(len(x))], axis=1)
     clamped = (positions[:, :2] == 0).any(axis=1)
@@ -254,6 +265,15 @@ def rectangle(
         if axis not in PLANES[symmetry]:
             clamped |= positions[:, axis] == extent[axis]
     return _sheet(positions, grids.union_jack(*cells), clamped, symmetry, cut_at=extent)
+
+
+def _grid_through(lines: Sequence[float], length: float, count: int, free_end: bool) -> NDArray[np.float64]:
+    """Places from 0 to a length through lines in between [m], evenly between two: about `count` cells, even numbers."""
+    stops = [0.0, *lines, length]
+    shares = [max(1, round(count * (end - begin) / length)) for begin, end in itertools.pairwise(stops)]
+    shares = [n if free_end and k == len(lines) else n + n % 2 for k, n in enumerate(shares)]
+    spans = zip(itertools.pairwise(stops), shares, strict=True)
+    return np.concatenate([*(np.linspace(begin, end, n, endpoint=False) for (begin, end), n in spans), [length]])
 
 
 def sphere(
@@ -488,6 +508,48 @@ def _sheet(
     return Sheet(positions, triangles.astype(np.int32), clamped, fixed)
 
 
+def cut_sheet(sheet: Sheet, level: topology.Level) -> Sheet:
+    """A sheet, without fields, with edges of elements along the line where a level is 0; see `topology.cut_along`."""
+    positions, triangles, ends = topology.cut_along(sheet.positions, sheet.triangles, level)
+    return _with_new_nodes(sheet, positions, triangles, ends)
+
+
+def clamp_borders(sheet: Sheet, region: NDArray[np.integer], *, cut: bool) -> Sheet:
+    """A sheet whose nodes between triangles of different regions (m,) are clamped, as a clamp grid holds it.
+
+    Args:
+        sheet: The sheet.
+        region: A number for each triangle.
+        cut: True to cut inner edges between clamped nodes in their middle, so that every element can move.
+    """
+    low, high = (np.full(len(sheet.positions), start) for start in (region.max(), region.min()))
+    np.minimum.at(low, sheet.triangles, region[:, None])
+    np.maximum.at(high, sheet.triangles, region[:, None])
+    held = replace(sheet, clamped=sheet.clamped | (low < high))
+    if not cut:
+        return held
+    sides = np.sort(sheet.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).astype(np.int64)
+    ends, first, count = np.unique(sides, axis=0, return_index=True, return_counts=True)
+    other = np.unique(sides[::-1], axis=0, return_index=True)[1]
+    inside = (count == 2) & (region[first // 3] == region[(len(sides) - 1 - other) // 3])
+    chords = ends[inside & held.clamped[ends].all(1)]
+    middles = sheet.positions[chords].mean(1)
+    made = _with_new_nodes(held, *topology.split_edges(sheet.positions, sheet.triangles, chords, middles), chords)
+    return replace(made, clamped=np.append(held.clamped, np.zeros(len(chords), bool)))
+
+
+def _with_new_nodes(
+    sheet: Sheet, positions: NDArray[np.float64], triangles: NDArray[np.integer], ends: NDArray[np.int64]
+) -> Sheet:
+    """A sheet with another mesh, whose new nodes cut edges (k, 2); those on the rim are held as their ends are."""
+    rim = np.isin(np.arange(len(sheet.positions), len(positions)), topology.boundary_nodes(triangles))
+    clamped = np.append(sheet.clamped, rim & sheet.clamped[ends].all(1))
+    fixed = np.concatenate([sheet.fixed, rim[:, None] & sheet.fixed[ends].all(1)])
+    return replace(
+        sheet, positions=positions, triangles=triangles.astype(np.int32), clamped=clamped, fixed=fixed, fields={}
+    )
+
+
 def outline(
     *,
     polygon: ArrayLike,
@@ -556,4 +618,5 @@ def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes
     if clamped.all():
         raise InputError("clamps every node", "refine the mesh or clamp less", "parison.clamp", clamp)
     triangles = mesh.triangles[:, [0, 2, 1]] if flip else mesh.triangles
-    return Sheet(positions, triangles, clamped, fixed, volumes.nodal_fields(mesh))
+    nodal = volumes.nodal_fields(mesh)
+    return Sheet(positions, triangles, clamped, fixed, nodal, cell_fields=mesh.cell_fields)

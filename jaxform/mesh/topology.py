@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -225,3 +227,130 @@ def _keys(pairs: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
     """One integer per pair, which sorts many times faster than rows do; and by what the first is multiplied."""
     base = int(pairs.max(initial=0)) + 1
     return pairs[:, 0] * base + pairs[:, 1], base
+
+
+# Cutting a mesh along a line.
+
+_SNAP, _SNAP_CORNER = 0.3, 0.05  # of an edge: nodes that are as near to the line, and corners of the rim, move onto it
+_CORNER = 0.8  # cosine of the angle between sides of a rim, below which they meet in a corner
+_ON_LINE = 1e-9  # of the mesh's size
+_FLAT = 0.05  # of its area, that a triangle keeps at least as nodes move
+_BISECTIONS = 50
+
+Level = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""A number (n,) of places (n, 3) [m], which is 0 on a line."""
+
+
+def cut_along(
+    positions: NDArray[np.float64], triangles: NDArray[np.integer], level: Level
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """A mesh with edges along the line on which a level is 0: near nodes move onto it, and other edges are cut there.
+
+    Nodes of the rim move along it, so that it stays where it is but for corners that are very near to the line.
+
+    Returns:
+        Positions (n, 3), those of the mesh first; triangles (m, 3); and the ends (k, 2) of the edges with new nodes.
+    """
+    places = positions.copy()
+    height, ends = level(places), edges(triangles)[0]
+    height[np.abs(height) <= _ON_LINE * np.ptp(places, axis=0).max()] = 0.0
+    crossing = ends[height[ends[:, 0]] * height[ends[:, 1]] < 0.0]
+    if not len(crossing):
+        return places, np.asarray(triangles, np.int64), crossing
+    share, points = _crossings(places, crossing, level)
+    moved = _snap(places, triangles, crossing, share, points)
+    places[moved >= 0], height[moved >= 0] = points[moved[moved >= 0]], 0.0
+    left = np.flatnonzero(height[crossing[:, 0]] * height[crossing[:, 1]] < 0.0)
+    return *split_edges(places, triangles, crossing[left], points[left]), crossing[left]
+
+
+def _crossings(
+    positions: NDArray[np.float64], ends: NDArray[np.int64], level: Level
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places (n, 3) where edges (n, 2) cross the line, after the share (n,) of their length before these."""
+    begin, way = positions[ends[:, 0]], positions[ends[:, 1]] - positions[ends[:, 0]]
+    sign, low, high = np.sign(level(begin)), np.zeros(len(ends)), np.ones(len(ends))
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        before = np.sign(level(begin + middle[:, None] * way)) == sign
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    return high, begin + high[:, None] * way
+
+
+def _snap(
+    positions: NDArray[np.float64],
+    triangles: NDArray[np.integer],
+    crossing: NDArray[np.int64],
+    share: NDArray[np.float64],
+    points: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """The number of the crossing edge (n_node,) along which each node moves onto the line; -1 where it does not."""
+    rim, corner = _rim_corners(positions, triangles)
+    on_rim = np.isin(np.sort(crossing, axis=1) @ [len(positions), 1], np.sort(rim, axis=1) @ [len(positions), 1])
+    node = np.where(share < 0.5, crossing[:, 0], crossing[:, 1])
+    near = np.minimum(share, 1.0 - share)
+    inner = ~np.isin(node, rim)
+    wanted = np.flatnonzero((near < np.where(corner[node], _SNAP_CORNER, _SNAP)) & (inner | on_rim))
+    moved = np.full(len(positions), -1)
+    wanted = wanted[np.argsort(-near[wanted], kind="stable")]
+    moved[node[wanted]] = wanted  # the nearest comes last
+    before = _doubled_normals(positions, triangles)
+    while (moved >= 0).any():
+        there = np.where((moved >= 0)[:, None], points[moved], positions)
+        after = np.einsum("ni,ni->n", _doubled_normals(there, triangles), before)
+        bad = after < _FLAT * np.einsum("ni,ni->n", before, before)
+        stays = triangles[bad][moved[triangles[bad]] >= 0]
+        if not len(stays):
+            break
+        moved[stays] = -1
+    return moved
+
+
+def _doubled_normals(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -> NDArray[np.float64]:
+    corners = positions[triangles]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def _rim_corners(
+    positions: NDArray[np.float64], triangles: NDArray[np.integer]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Ends (n, 2) of the rim's edges, and the nodes (n_node,) at which it has a corner."""
+    rim = open_sides(triangles)
+    way = positions[rim[:, 1]] - positions[rim[:, 0]]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    into, out = np.zeros_like(positions), np.zeros_like(positions)
+    into[rim[:, 1]], out[rim[:, 0]] = way, way
+    corner = np.zeros(len(positions), bool)
+    corner[rim[:, 0]] = np.einsum("ni,ni->n", into, out)[rim[:, 0]] < _CORNER
+    return rim, corner
+
+
+def split_edges(
+    positions: NDArray[np.float64],
+    triangles: NDArray[np.integer],
+    ends: NDArray[np.int64],
+    points: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The mesh with edges (k, 2) cut at points (k, 3), which come after its nodes."""
+    middle = {(int(min(pair)), int(max(pair))): len(positions) + k for k, pair in enumerate(ends)}
+    cut = []
+    for triangle in np.asarray(triangles).tolist():
+        a, b, c = triangle
+        cut += split_triangle(triangle, [middle.get((min(pair), max(pair))) for pair in ((a, b), (b, c), (c, a))])
+    return np.concatenate([positions, points]), np.array(cut, np.int64).reshape(-1, 3)
+
+
+def split_triangle(triangle: list[int], middles: list[int | None]) -> list[list[int]]:
+    """A triangle cut at the middles of its sides, the first of which starts at its first corner."""
+    count = sum(middle is not None for middle in middles)
+    if count == 0:
+        return [triangle]
+    # Turned so that the first side is cut, and the second of two; then each case is one.
+    turn = next(k for k in range(3) if middles[k] is not None and (count != 2 or middles[(k + 1) % 3] is not None))
+    a, b, c = triangle[turn:] + triangle[:turn]
+    ab, bc, ca = (-1 if middle is None else middle for middle in middles[turn:] + middles[:turn])
+    if count == 1:
+        return [[a, ab, c], [ab, b, c]]
+    if count == 2:
+        return [[ab, b, bc], [a, ab, bc], [a, bc, c]]
+    return [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]

@@ -17,7 +17,7 @@ from jaxform.core.compilation import with_standard_promotion
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_real, parameter_ranges
 from jaxform.core.ranges import BITS, DESIGNABLE, RANGES, WORDS, Range, as_numbers, check, declared_ranges
-from jaxform.loads import Loading
+from jaxform.loads import Loading, RegionalLoad
 from jaxform.materials import Law, Modes, Shift
 from jaxform.model.field import Field
 from jaxform.model.scene import Scene
@@ -74,6 +74,9 @@ def _replace_at(scene: Scene, path: str, values: Any) -> Scene:
     """A scene with other values at a path."""
     part, _, name = path.rpartition(".")
     owner: Any = dataclasses.replace(_owner(scene, part), **{name: values})
+    if (place := _region_number(scene, part)) is not None:
+        loads = tuple(owner if k == place else load for k, load in enumerate(scene.pressure.loads))
+        return dataclasses.replace(scene, pressure=dataclasses.replace(scene.pressure, loads=loads))
     if part.startswith("fields."):
         return dataclasses.replace(scene, fields={**scene.fields, part.removeprefix("fields."): owner})
     if part.startswith("tools.") and part.count(".") == 1:
@@ -88,6 +91,8 @@ def _owner(scene: Scene, part: str) -> Any:
     """The part of a scene that paths such as "material.viscous" and "fields.hot" name; None where there is none."""
     if part.startswith("fields."):
         return scene.fields.get(part.removeprefix("fields."))
+    if (place := _region_number(scene, part)) is not None:
+        return scene.pressure.loads[place]
     owner: Any = scene
     names = part.split(".")
     if names[0] == "tools":
@@ -104,6 +109,13 @@ def _tool_number(scene: Scene, name: str) -> int | None:
     if name in names:
         return names.index(name)
     return int(name) if name.isdecimal() and int(name) < len(names) else None
+
+
+def _region_number(scene: Scene, part: str) -> int | None:
+    """The number of the load of a region that a path such as "pressure.left" names; None of any other part."""
+    section, _, name = part.partition(".")
+    regional = section == "pressure" and isinstance(scene.pressure, RegionalLoad)
+    return scene.pressure.index(name) if regional else None
 
 
 def check_numbers(scene: Scene) -> None:
@@ -178,11 +190,11 @@ def _range(path: str, scene: Scene) -> Range:
 def _key(path: str) -> str:
     """A path as `DESIGNABLE` has it.
 
-    Fields' numbers are without the field's name, those of tools as the mold's, of both sides' loads as those of one.
+    Fields' numbers are without the field's name, those of tools as the mold's, of several loads as those of one.
     """
     if path.startswith("tools."):
         return f"mold.{path.split('.', 2)[-1]}"
-    if path.startswith(_SIDES):
+    if path.startswith("pressure."):
         return f"pressure.{path.rpartition('.')[2]}"
     return f"fields.{path.rpartition('.')[2]}" if path.startswith("fields.") else path
 
@@ -192,7 +204,12 @@ def _designable_numbers(scene: Scene) -> dict[str, jax.Array]:
     field_paths = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in parameter_ranges(field)]
     of_molds = [path.removeprefix("mold.") for path in DESIGNABLE if path.startswith("mold.")]
     tool_paths = [f"tools.{k}.{path}" for k in range(len(scene.tools)) for path in of_molds]
-    side_paths = [side + path.removeprefix("pressure.") for side in _SIDES for path in _load_paths()]
+    sides = (
+        [f"pressure.{k}." for k in range(len(scene.pressure.loads))]
+        if isinstance(scene.pressure, RegionalLoad)
+        else _SIDES
+    )
+    side_paths = [side + path.removeprefix("pressure.") for side in sides for path in _load_paths()]
     paths = (*DESIGNABLE, *field_paths, *tool_paths, *side_paths)
     found = {path: number_at(scene, path) for path in paths if _is_declared(scene, path)}
     return {path: values for path, values in found.items() if values is not None}

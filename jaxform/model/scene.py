@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import abbreviate, as_index, as_real, pytree, row_count, static
 from jaxform.core.ranges import MOST_STEPS, RENAMED, as_numbers, check, check_one, current_keys
-from jaxform.loads import Loading
+from jaxform.loads import Loading, RegionalLoad
 from jaxform.materials import Cooling, Law
 from jaxform.mesh import volumes
 from jaxform.model.field import Field
@@ -315,11 +315,17 @@ class Scene:
 
 def sample_pressures(pressure: Loading, solver: Solver, parison: Parison, material: Law) -> np.ndarray:
     """The pressures [Pa] of `Scene.pushes`, from the parts of a scene; that of the sheet's weight is added."""
-    volume = 0.0
-    if pressure.follows_volume:
-        volume = volumes.enclosed_volume(np.asarray(parison.positions, float), np.asarray(parison.triangles))
+    volume: Any = enclosed_volumes(pressure, parison) if pressure.follows_volume else 0.0
     pushes = pressure.pushes(float(solver.end_time), volume)
     return pushes if solver.gravity is None else pushes + _weight_pressure(solver.gravity, parison, material)
+
+
+def enclosed_volumes(pressure: Loading, parison: Parison) -> Any:
+    """The volume [m^3] that a parison encloses initially, or those (n_load,) of the regions of a load; on the host."""
+    positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
+    if not isinstance(pressure, RegionalLoad):
+        return volumes.enclosed_volume(positions, triangles)
+    return np.array([volumes.enclosed_volume(positions, triangles[own]) for own in np.asarray(pressure.regions)])
 
 
 def _weight_pressure(gravity: jax.Array, parison: Parison, material: Law) -> float:

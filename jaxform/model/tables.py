@@ -24,12 +24,15 @@ class ReferenceGeometry:
         inverse_metric: Inverse of the initial metric (3, n_element) [1/m^2].
         area: Initial area (n_element,) [m^2].
         origin: A point (3,) [m] on every symmetry plane, from which the enclosed volume is counted.
+        regions: True for the elements that each of several loads pushes (n_load, n_element); None where one load pushes
+            the whole sheet.
     """
 
     triangles: jax.Array
     inverse_metric: jax.Array
     area: jax.Array
     origin: jax.Array
+    regions: jax.Array | None = None
 
 
 @pytree

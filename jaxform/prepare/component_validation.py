@@ -13,7 +13,16 @@ import numpy as np
 from jaxform.core.errors import InputError, warn_of
 from jaxform.core.pytree import as_real, is_registered, list_parameter_names, nodal_parameter_names, parameter_ranges
 from jaxform.core.ranges import as_numbers, check, check_one
-from jaxform.loads import Interval, Loading, Pressure, TwoSidedLoad, first_pressure, list_gases, next_pressure
+from jaxform.loads import (
+    Interval,
+    Loading,
+    Pressure,
+    RegionalLoad,
+    TwoSidedLoad,
+    first_pressure,
+    list_gases,
+    next_pressure,
+)
 from jaxform.materials import Cooling, Law, Modes, Shift
 from jaxform.mesh import bisection
 from jaxform.model.field import Field
@@ -260,11 +269,14 @@ def validate_loading(pressure: Loading) -> Loading:
     made = _convert_numbers(pressure, "pressure")
     if isinstance(made, TwoSidedLoad):
         made = _replace_values(made, {name: validate_loading(getattr(made, name)) for name in ("inside", "trapped")})
-    none = as_real(0.0)
+    shape = ()
+    if isinstance(made, RegionalLoad):
+        made, shape = _replace_values(made, {"loads": tuple(map(validate_loading, made.loads))}), (len(made.loads),)
+    none, time = as_real(np.zeros(shape)), as_real(0.0)
     first = _shapes("pressure", first_pressure, made, none)
-    if first.pressure.shape != ():
+    if first.pressure.shape != shape:
         raise InputError(f"gives pressures of shape {first.pressure.shape}", "let `at` return one number", "pressure")
-    later = _shapes("pressure", next_pressure, made, first, Interval(none, none, none, none))
+    later = _shapes("pressure", next_pressure, made, first, Interval(time, time, none, none))
     if _kinds(later) != _kinds(first):
         shapes = f"{_words(later.state)}, than at first, {_words(first.state)}"
         problem = f"has another state after a step, {shapes}"
@@ -339,15 +351,19 @@ def _shapes(key: str, function: Any, *arguments: Any) -> Any:
         raise InputError(f"cannot be traced by JAX ({reason})", "use jax.numpy, and return one array", key) from error
 
 
-def check_gas(pressure: Loading, volume: float) -> None:
-    """Raises InputError where a gas has no volume [m^3] at first."""
-    for gas in list_gases(pressure):
-        if (first := float(gas.gas_volume(as_real(volume)))) > 0.0:
+def check_gas(pressure: Loading, volume: Any) -> None:
+    """Raises InputError where a gas has no volume [m^3] at first; the sheet encloses one, or its regions (n_load,)."""
+    for key, gas in list_gases(pressure).items():
+        under = volume
+        if isinstance(pressure, RegionalLoad):
+            under = pressure.own_volumes(volume)[pressure.names.index(key.removeprefix("gas."))]
+        if (first := float(gas.gas_volume(as_real(under)))) > 0.0:
             continue
-        remedy = "give gas.dead_volume, or a sheet that encloses a volume along its normals"
+        key = f"{key if isinstance(pressure, RegionalLoad) else 'gas'}.dead_volume"
+        remedy = f"give {key}, or a sheet that encloses a volume along its normals"
         if gas.closed_by == "mold":
-            remedy = f"give the volume of the mold's cavity, above the {volume:.3g} m^3 under the sheet"
-        raise InputError(f"the gas has a volume of {first:.3g} m^3 at first", remedy, "gas.dead_volume")
+            remedy = f"give the volume of the mold's cavity, above the {float(under):.3g} m^3 under the sheet"
+        raise InputError(f"the gas has a volume of {first:.3g} m^3 at first", remedy, key)
 
 
 def check_clamp_opening(parison: Parison, pressure: Loading, solver: Solver, surfaces: Sequence[Mold]) -> None:

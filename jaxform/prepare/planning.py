@@ -13,6 +13,7 @@ from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real
 from jaxform.core.ranges import MOST_STEPS
 from jaxform.core.store import Store
+from jaxform.loads import Loading
 from jaxform.materials import Law, Modes
 from jaxform.mechanics import constitutive, membrane
 from jaxform.mechanics.constitutive import ViscousMemory, overstress, strain_state
@@ -233,14 +234,18 @@ def check_capacity(refinement: Refinement, count: int) -> None:
         raise InputError("is too small", remedy, "refinement.elements", refinement.elements)
 
 
-def build_hierarchy(parison: Parison, refinement: Refinement) -> tuple[bisection.TriangleForest, Parison]:
-    """The forest of a parison's mesh, and the parison with all its nodes."""
+def build_hierarchy(
+    parison: Parison, refinement: Refinement, pressure: Loading
+) -> tuple[bisection.TriangleForest, Parison]:
+    """The forest of a parison's mesh, with borders of the regions of a load, and the parison with all its nodes."""
+    regions = getattr(pressure, "regions", None)
     forest = bisection.build_forest(
         np.asarray(parison.positions, float),
         np.asarray(parison.triangles),
         bisection.even_depth(refinement.deepest),
         clamped=np.asarray(parison.clamped),
         fixed=np.asarray(parison.fixed),
+        region=None if regions is None else bisection.number_regions(np.asarray(regions)),
     )
     thickness, temperature = (
         None if values is None else bisection.extend_values(np.asarray(values, float), forest.ends, forest.depth)
@@ -276,12 +281,13 @@ def pack_forest(
     owner[forest.middle[inner]] = inner
     first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
     bound = as_real(volumes.shape_bound(rest, forest.triangles))
+    regions = None if sheet.regions is None else jnp.asarray(forest.inherit(np.asarray(sheet.regions)))
     heavier = jnp.ones_like(bound)
     if refinement.mass_scaling_levels:
         unscaled = forest.level() <= refinement.deepest - refinement.mass_scaling_levels
         heavier = jnp.maximum(bound / jnp.max(jnp.where(unscaled, bound, 0.0)), 1.0)
     return BisectionHierarchy(
-        sheet=ReferenceGeometry(as_index(forest.triangles.T), as_real(inverse), as_real(area), sheet.origin),
+        sheet=ReferenceGeometry(as_index(forest.triangles.T), as_real(inverse), as_real(area), sheet.origin, regions),
         bound=bound / heavier,
         mass_scale=heavier,
         partner=as_index(forest.partner),

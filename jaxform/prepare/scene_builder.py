@@ -12,16 +12,16 @@ import numpy as np
 
 from jaxform.contact.broad_phase import PAIRS_PER_NODE
 from jaxform.core.compilation import with_standard_promotion
-from jaxform.core.errors import InputError, warn_of
+from jaxform.core.errors import InputError, format_place, warn_of
 from jaxform.core.pytree import as_index, as_real, cast_to_precision, check_untraced
 from jaxform.core.store import PACKAGE, Store
-from jaxform.loads import Loading
+from jaxform.loads import Loading, RegionalLoad
 from jaxform.materials import Cooling, Law
 from jaxform.mesh import bisection, topology, volumes
 from jaxform.mesh.topology import sharp_edges
 from jaxform.model.field import Field
 from jaxform.model.part import Part, check_part
-from jaxform.model.scene import Parison, Refinement, Scene, Solver, sample_pressures
+from jaxform.model.scene import Parison, Refinement, Scene, Solver, enclosed_volumes, sample_pressures
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Precomputed, ReferenceGeometry, Rim, SceneBox
 from jaxform.prepare import component_validation, initial_contact
 from jaxform.prepare.planning import (
@@ -77,6 +77,49 @@ def moving_rim(
     if not moves.any():
         return None
     return Rim(as_index(ends[moves].T), None if triangle is None else as_index(triangle[moves]))
+
+
+def _hold_regions(
+    load: RegionalLoad,
+    positions: np.ndarray,
+    triangles: np.ndarray,
+    held: np.ndarray,
+    origin: np.ndarray,
+    forest: bisection.TriangleForest | None,
+) -> RegionalLoad:
+    """The loads of regions with the volumes between their borders and the origin; arguments as of `moving_rim`.
+
+    Raises:
+        InputError: A border can move: it would sweep a volume that its region's elements do not know.
+    """
+    own, volume = np.asarray(load.regions), np.zeros(len(load.loads))
+    deep = None if forest is None else forest.inherit(own)
+    for k, name in enumerate(load.names):
+        part = None
+        if forest is not None and deep is not None:
+            part = dataclasses.replace(forest, triangles=forest.triangles[deep[k]], root_count=int(own[k].sum()))
+        moves = moving_rim(positions, triangles[own[k]], held, origin, part)
+        if moves is not None:
+            where = format_place(positions[np.asarray(moves.ends)[:, 0]].mean(0))
+            remedy = "clamp the nodes on the border of the region (parison.clamp), as a clamp grid holds the sheet"
+            raise InputError(f"has a border that can move, at {where} m", remedy, f"gas.{name}.region")
+        volume[k] = _border_volume(positions, triangles[own[k]], held, origin)
+    return dataclasses.replace(load, border_volume=as_real(volume))
+
+
+def _border_volume(positions: np.ndarray, triangles: np.ndarray, held: np.ndarray, origin: np.ndarray) -> float:
+    """Volume [m^3] between the origin and the surface that closes the border of a region, from its held edges.
+
+    That surface is made of triangles to the middle of the border, which is on the symmetry planes that the region has.
+    """
+    ends = topology.open_sides(triangles)
+    still = held[ends].all((1, 2))
+    if not still.any():
+        return 0.0
+    border = positions[ends[still]] - origin
+    on_plane = held[ends[~still]].all(1).any(0)
+    middle = np.where(on_plane, 0.0, border.reshape(-1, 3).mean(0))
+    return float(np.einsum("i,ni->", middle, np.cross(border[:, 0], border[:, 1])) / 6.0)
 
 
 _FAR_NODES = 0.125  # of all, that may be listed with all that is within the farthest reach
@@ -143,7 +186,7 @@ def build_scene(
     pressure, count = component_validation.validate_loading(pressure), len(parison.positions)
     component_validation.check_weight(solver, refinement)
     if refinement is not None and forest is None:
-        forest, parison = build_hierarchy(parison, refinement)
+        forest, parison = build_hierarchy(parison, refinement, pressure)
     material = component_validation.validate_law(material, count, forest)
     cooling = component_validation.validate_cooling(cooling, fields or {}, surfaces)
     component_validation.check_temperature(material, parison, cooling, surfaces)
@@ -172,7 +215,6 @@ def build_scene(
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)
     grid = grids[0] if mold is not None else None
-    component_validation.check_gas(pressure, volumes.enclosed_volume(positions, triangles))
     sheet = _reference_sheet(parison, pressure)
     rest = parison.remove_pre_stretch(positions)
     bound = as_real(volumes.shape_bound(rest, triangles))
@@ -183,7 +225,11 @@ def build_scene(
         component_validation.check_clamp_opening(parison, pressure, solver, surfaces)
         in_contact = _release_from_moving_tools(in_contact, parison, surfaces)
     mobility, grown = as_real(~held.T), None
-    rim = moving_rim(positions, triangles, held, np.asarray(sheet.origin), forest)
+    if isinstance(pressure, RegionalLoad):
+        pressure, rim = _hold_regions(pressure, positions, triangles, held, np.asarray(sheet.origin), forest), None
+    else:
+        rim = moving_rim(positions, triangles, held, np.asarray(sheet.origin), forest)
+    component_validation.check_gas(pressure, enclosed_volumes(pressure, parison))
     if refinement is not None and forest is not None:
         check_capacity(refinement, len(triangles))
         bend = None if mold is None or grid is None or not refinement.base_level else bends(mold, grid, store)
@@ -396,7 +442,8 @@ def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:
                 f"{axis} from {there.min():.4g} to {there.max():.4g} m",
             )
         origin.append(there[0] if apart else there.mean())
-    return ReferenceGeometry(as_index(triangles.T), as_real(inverse), as_real(area), as_real(origin))
+    regions = pressure.regions if isinstance(pressure, RegionalLoad) else None
+    return ReferenceGeometry(as_index(triangles.T), as_real(inverse), as_real(area), as_real(origin), regions)
 
 
 def _box(surfaces: list[Mold], positions: np.ndarray) -> SceneBox:

@@ -169,7 +169,7 @@ def _warnings_of_no_contact(result: Result, scene: Scene) -> list[str]:
 
 def _warnings_of_trapped_gas(result: Result, scene: Scene) -> list[str]:
     """A warning of gas in the mold that holds the sheet off it."""
-    trapped = any(gas.closed_by == "mold" for gas in list_gases(scene.pressure))
+    trapped = any(gas.closed_by == "mold" for gas in list_gases(scene.pressure).values())
     if not trapped or not int(result.status) & Status.UNFILLED:
         return []
     return [

@@ -179,7 +179,8 @@ class Result:
         temperature: Temperature at the nodes (n_node,) [degC] at the end time, if the sheet cools; None if it keeps its
             initial temperature.
         loading: Final state of the loading; None where it has none.
-        pressures: Times [s] and pressures [Pa] (2, n), where `run` met a pressure that follows the enclosed volume.
+        pressures: Times [s] and pressures [Pa] (2, n), where `run` met a pressure that follows the enclosed volume; of
+            loads of regions one row for each (1 + n_load, n).
         contacts: Times [s], and shares of the formed area on each of the scene's surfaces (1 + n_surface, n), where
             nodes may slide and `run` recorded them.
         contact_periods: Times at which nodes first came into contact with each surface, and the last of these at which

@@ -13,7 +13,7 @@ from jax.core import Tracer
 
 from jaxform.core.compilation import with_standard_promotion
 from jaxform.core.errors import InputError, format_place
-from jaxform.loads import Pressure
+from jaxform.loads import Pressure, RegionalLoad
 from jaxform.materials.tension_field import relax_slack_strain
 from jaxform.mesh.topology import components
 from jaxform.mesh.volumes import longest_sides
@@ -216,7 +216,7 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
         **({} if result.held_sides is None else {"held_sides": int(result.held_sides)}),
         **_wrinkles(result, scene, area),
         **_temperatures(result, scene),
-        **_pressures(result),
+        **_pressures(result, scene),
         "mass": float(part.mass),
         **({} if scene.part is None else {"sheet_mass": float(result.mass)}),
         **_flash(result, part, scene),
@@ -254,12 +254,17 @@ def _wrinkles(result: Result, scene: Scene, area: np.ndarray) -> dict[str, float
     )
 
 
-def _pressures(result: Result) -> dict[str, dict[str, list[float]]]:
-    """The pressure over time, where it follows the enclosed volume."""
+def _pressures(result: Result, scene: Scene) -> dict[str, Any]:
+    """The pressure over time, where it follows the enclosed volume; of gases of regions that of each, by name."""
     if result.pressures is None:
         return {}
-    time, value = result.pressures
-    return {"pressure": {"time": time.tolist(), "value": value.tolist()}}
+    time, *values = result.pressures
+    curves = [{"time": time.tolist(), "value": value.tolist()} for value in values]
+    if not isinstance(scene.pressure, RegionalLoad):
+        return {"pressure": curves[0]}
+    found = {name: {"pressure": curve} for name, curve in zip(scene.pressure.names, curves, strict=True)}
+    outside = found.pop("inside", None)
+    return {**({} if outside is None else outside), "gases": found}
 
 
 def _temperatures(result: Result, scene: Scene) -> dict[str, dict[str, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxform.core.pytree import as_index, nodal_parameter_names
 from jaxform.kernels import capacities
-from jaxform.loads import Loading, Pressure
+from jaxform.loads import Loading, Pressure, RegionalLoad
 from jaxform.materials import Law
 from jaxform.model.field import Field
 from jaxform.model.scene import Parison, Refinement
@@ -106,6 +106,7 @@ def pad_sheet(sheet: ReferenceGeometry, room: int, order: Order) -> ReferenceGeo
         inverse_metric=pad_with_first(sheet.inverse_metric, room),
         area=pad_values(sheet.area, room, 0.0),
         origin=sheet.origin,
+        regions=None if sheet.regions is None else pad_values(sheet.regions, room, False),
     )
 
 
@@ -163,7 +164,9 @@ def pad_field(field: Field, order: Order) -> Field:
 
 
 def pad_pressure(pressure: Loading) -> Loading:
-    """The pressure with padded knots long after the last one, of the same value."""
+    """The pressure with padded knots long after the last one, of the same value; of regions without their names."""
+    if isinstance(pressure, RegionalLoad):
+        return dataclasses.replace(pressure, loads=tuple(map(pad_pressure, pressure.loads)), names=(), regions=None)
     if not isinstance(pressure, Pressure):
         return pressure
     time, value = extend_knots(np.asarray(pressure.time), np.asarray(pressure.value))
@@ -278,6 +281,7 @@ def pad_forest(forest: BisectionHierarchy, refinement: Refinement, order: Order)
             inverse_metric=pad_triangles(forest.sheet.inverse_metric),
             area=scatter_triangles(forest.sheet.area, 0.0),
             origin=forest.sheet.origin,
+            regions=None if forest.sheet.regions is None else scatter_triangles(forest.sheet.regions, False),
         ),
         bound=pad_triangles(forest.bound),
         mass_scale=pad_triangles(forest.mass_scale),

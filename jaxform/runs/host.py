@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import NamedTuple
 
@@ -94,14 +94,15 @@ class Moment:
         end_time: End of the simulation [s].
         steps: Steps taken.
         result: Function that returns the part in its present state.
-        pressure: Pressure at the start of the last step [Pa], where it follows the enclosed volume; else None.
+        pressure: Pressure at the start of the last step [Pa], where it follows the enclosed volume, of loads of regions
+            those by name; else None.
     """
 
     time: float
     end_time: float
     steps: int
     result: Callable[[], Result]
-    pressure: float | None = None
+    pressure: float | dict[str, float] | None = None
 
 
 @with_standard_promotion
@@ -152,7 +153,7 @@ def _run(
     state, first, taken = begin(scene)
     ready, telling = time.perf_counter(), 0.0
     follows = state.account.load_state is not None
-    pressures: list[tuple[float, float]] = []
+    pressures: list[tuple[float, ...]] = []
     contacts = _ContactRecord(original) if original.slides else None
     at_once = on_window is None and not follows and contacts is None
     compiling = ready - began
@@ -173,7 +174,8 @@ def _run(
             _record_pressure(pressures, state)
         if on_window is not None or contacts is not None:
             now = state, scene, first, taken
-            moment = _moment(state, scene, lambda now=now, made=ending: padded.result(made.result()(*now, _GOING)))
+            made = lambda now=now, made=ending: padded.result(made.result()(*now, _GOING))  # noqa: E731
+            moment = _moment(state, scene, made, getattr(original.pressure, "names", ()))
             told = time.perf_counter()
             if contacts is not None and not done:
                 contacts.offer(moment)
@@ -241,18 +243,20 @@ class _ContactRecord:
         return self._periods
 
 
-def _record_pressure(pressures: list[tuple[float, float]], state: State) -> None:
-    """Adds the time [s] and the pressure [Pa] at the start of a state's last step, unless the window was rejected."""
+def _record_pressure(pressures: list[tuple[float, ...]], state: State) -> None:
+    """Adds the time [s] and the pressures [Pa] at the start of a state's last step, unless the window was rejected."""
     load = state.account.load_state
     assert load is not None
     time = float(state.time) - float(state.control.step_length)
     if not pressures or time > pressures[-1][0]:
-        pressures.append((time, float(load.pressure)))
+        pressures.append((time, *np.atleast_1d(np.asarray(load.pressure, float)).tolist()))
 
 
-def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:
+def _moment(state: State, scene: Scene, result: Callable[[], Result], names: Sequence[str] = ()) -> Moment:
     load = state.account.load_state
-    pressure = None if load is None else float(load.pressure)
+    pressure = None if load is None else np.asarray(load.pressure, float)
+    if pressure is not None:
+        pressure = dict(zip(names, pressure.tolist(), strict=True)) if names else float(pressure)
     return Moment(float(state.time), float(scene.solver.end_time), int(state.steps), result, pressure)
 
 

@@ -118,7 +118,7 @@ class ActiveSet:
         mass: Lumped mass of the nodes (place,) [kg].
         compliance: Mobility over mass (3, place) [1/kg].
         substance: Material volume of the active elements [m^3].
-        idle_volume: Volume enclosed by the inactive elements [m^3].
+        idle_volume: Volume enclosed by the inactive elements [m^3]; of regions with loads of their own (n_load,).
         idle_energy: Strain energy of the inactive elements [J].
         memory: Stress of the Prony terms of all elements at the time of packing; None without Prony terms.
         idle: Inactive elements with Prony terms; None where there are none.
@@ -224,7 +224,14 @@ def whole_set(state: State, scene: Scene, discrete: Discretization) -> ActiveSet
     """The active set of all elements and nodes, in the mesh's order."""
     none, whole = jnp.zeros((), discrete.mass.dtype), discrete.whole
     now = discrete.with_zones(state.heat, scene.material)
-    return _add_cooling(_add_memory(_add_masses(whole, now, none, none), state, scene, now), state, discrete)
+    masses = _add_masses(whole, now, _no_volume(discrete, none.dtype), none)
+    return _add_cooling(_add_memory(masses, state, scene, now), state, discrete)
+
+
+def _no_volume(discrete: Discretization, real: jnp.dtype) -> jax.Array:
+    """No volume: one number, or where loads push regions of the sheet one for each (n_load,)."""
+    regions = discrete.sheet.regions
+    return jnp.zeros(() if regions is None else len(regions), real)
 
 
 def repack(
@@ -257,7 +264,7 @@ def repack(
 def inactive_volume(positions: jax.Array, scene: Scene, discrete: Discretization, packed: Packed) -> jax.Array:
     """Volume [m^3] enclosed by what is not active, of positions (3, n_node) [m]; differentiable."""
     if not scene.packs_moving:
-        return jnp.zeros((), positions.dtype)
+        return _no_volume(discrete, positions.dtype)
     return enclosed_volume(positions, discrete.sheet, jnp.where(packed.kept, 0.0, 1.0))
 
 
@@ -267,7 +274,7 @@ def _inactive_totals(
     """Strain energy [J] and enclosed volume [m^3] of the inactive elements, not differentiable."""
     positions = state.nodes.positions
     if not scene.packs_moving:
-        return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
+        return jnp.zeros((), positions.dtype), _no_volume(discrete, positions.dtype)
     return totals_of(state, scene, discrete, ~packed.kept[discrete.whole.element])
 
 

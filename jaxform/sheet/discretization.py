@@ -271,6 +271,7 @@ def refined_discretization(
         inverse_metric=forest.sheet.inverse_metric[:, element],
         area=jnp.where(used, forest.sheet.area[element], 0.0),
         origin=forest.sheet.origin,
+        regions=None if forest.sheet.regions is None else forest.sheet.regions[:, element],
     )
     volumes, forest_zones, temperature = properties
     volume = volumes[element]

@@ -12,7 +12,7 @@ from jaxform.loads import Interval, LoadState, next_pressure
 from jaxform.materials import Law, Modes
 from jaxform.mechanics import membrane
 from jaxform.mechanics.constitutive import split_modes, strain_state
-from jaxform.mechanics.elements import Elements, element_metrics
+from jaxform.mechanics.elements import Elements, by_region, element_metrics, region_count, sum_regions
 from jaxform.model.scene import Scene
 from jaxform.model.tables import ReferenceGeometry
 from jaxform.sheet.discretization import NEVER, Discretization, RefinedMesh
@@ -52,6 +52,8 @@ def element_energy(
 ) -> tuple[jax.Array, jax.Array]:
     """Strain energy [J], with that of viscous modes, and enclosed volume [m^3] of the elements; not differentiable.
 
+    The volume is one number, or of loads of regions (n_load,).
+
     Args:
         positions: (3, place) [m].
         elements: The elements, of nodes at these places.
@@ -63,7 +65,7 @@ def element_energy(
     rows, viscous = membrane.unstack_rows(positions), material.viscous
     varying = None if viscous is None or viscous.modulus.ndim == 1 else viscous
 
-    def work(own: Any, thickness: jax.Array, behaviour: Any, counted: Any, orientation: Any) -> Any:
+    def work(own: Any, thickness: jax.Array, behaviour: Any, counted: Any, orientation: Any, regions: Any) -> Any:
         zones, memory, modes = behaviour
         modes = modes or viscous
         triangles, inverse, area = own
@@ -74,12 +76,13 @@ def element_energy(
         share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
         share = share if orientation is None else orientation * share
         used = area > 0.0 if counted is None else counted & (area > 0.0)
-        return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
+        return [], [jnp.where(used, energy, 0.0), *by_region(jnp.where(used, share, 0.0), regions)]
 
     own = elements.triangles, elements.inverse_metric, elements.area
-    inputs = own, thickness, (material.zones, memory, varying), counted, elements.orientation
-    _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
-    return energy, volume / 6.0
+    inputs = own, thickness, (material.zones, memory, varying), counted, elements.orientation, elements.regions
+    count = 1 + region_count(elements.regions)
+    _, (energy, *volumes) = over_blocks(work, elements.block_count, inputs, [], sums=count)
+    return energy, sum_regions(volumes, elements.regions) / 6.0
 
 
 def stored_energy(
@@ -127,7 +130,12 @@ def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
 
 def last_work(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
     """External work of the last step [J], with the volume enclosed now [m^3]: the next force brings it."""
-    return last_pressure(state, scene, volume) * state.account.swept_volume(volume)
+    return pressure_work(last_pressure(state, scene, volume), state.account.swept_volume(volume))
+
+
+def pressure_work(pressure: jax.Array, swept: jax.Array) -> jax.Array:
+    """Work [J] of a pressure [Pa] over a swept volume [m^3], or of those (n_load,) of all regions."""
+    return pressure * swept if swept.ndim == 0 else jnp.sum(pressure * swept)
 
 
 def enclosed_volume(
@@ -135,12 +143,14 @@ def enclosed_volume(
 ) -> jax.Array:
     """Volume [m^3] between the sheet, at positions (3, n_node) [m], and its origin; of the elements that count.
 
-    Each counts as often as `counted` says, and against its nodes' order where that is negative.
+    Each counts as often as `counted` says, and against its nodes' order where that is negative. Where loads push
+    regions of the sheet, it is the volume of each of these (n_load,).
     """
     first, edge1, edge2 = membrane.edges(positions, sheet.triangles)
     arm = membrane.minus(first, sheet.origin)
     counted = jnp.where(sheet.area > 0.0, counted, 0.0)
-    return jnp.sum(counted * membrane.dot(arm, membrane.cross(edge1, edge2))) / 6.0
+    shares = by_region(counted * membrane.dot(arm, membrane.cross(edge1, edge2)), sheet.regions)
+    return sum_regions([jnp.sum(share) for share in shares], sheet.regions) / 6.0
 
 
 def energy_rounding(scene: Scene, volume: jax.Array) -> jax.Array:

@@ -236,6 +236,7 @@ def pack(
         block_count=block_count,
         node_block_count=node_block_count,
         row_count=row_count,
+        regions=None if sheet.regions is None else gather(sheet.regions, listing.element),
     )
     return Packed(node, place, listing.element, exists, kept if pairs is None else kept[pairs.pair], elements)
 

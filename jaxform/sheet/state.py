@@ -93,7 +93,7 @@ class EnergyBalance:
     """Energy account of a run so far [J].
 
     Attributes:
-        volume: Enclosed before the last step [m^3].
+        volume: Enclosed before the last step [m^3]; where loads push regions of the sheet, by each of these (n_load,).
         load_state: State of the loading before the last step; None where the pressure depends on the time alone.
         external_work: Work of the pressure: its forces times the nodes' displacements.
         damping_loss, contact_loss: Dissipated by damping, and by impacts on the mold; the second with what the scheme's

@@ -170,8 +170,8 @@ def set_value(data: dict[str, Any], path: str, value: Any) -> None:
     following: Any
     step: Any
     for step, following in zip(steps, [*steps[1:], None], strict=True):
-        if isinstance(step, str) and steps[0] == "tool" and (tables := _as_list(place)) is not None:
-            step = _tool_number(tables, step, path)
+        if isinstance(step, str) and steps[0] in _NUMBERED and (tables := _as_list(place)) is not None:
+            step = _NUMBERED[steps[0]](tables, step, path)
         if isinstance(step, int):
             if not isinstance(place, list):
                 raise InputError(_NO_LIST, "name the key alone, or write a list there", path)
@@ -209,6 +209,23 @@ def _tool_number(tables: list[Any], name: str, path: str) -> int:
         known = [schema.tool_name(table, k) for k, table in enumerate(tables, 1)]
         raise InputError(_NO_TOOL, f"its tools are {', '.join(known) or 'none'}", path)
     return number
+
+
+def _gas_number(tables: list[Any], name: str, path: str) -> int:
+    """The index of a gas of this name, or that is closed by it.
+
+    Raises:
+        InputError: There is none.
+    """
+    number = schema.find_gas(tables, name)
+    if number is None:
+        known = [schema.gas_name(table, k) for k, table in enumerate(tables, 1)]
+        raise InputError("is not a gas of the scene", f"its gases are {', '.join(known)}", path)
+    return number
+
+
+_NUMBERED: dict[Any, Callable[[list[Any], str, str], int]] = {"tool": _tool_number, "gas": _gas_number}
+"""Sections that are lists of tables, and what finds a table of a name in them."""
 
 
 def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None, about: str = "") -> list[DesignRow]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,18 +12,19 @@ import jaxform
 
 
 def assert_slopes_are_differences(
-    scene: jaxform.Scene, values: dict[str, jax.Array], least: float, relative_step: float = 1e-5
+    scene: jaxform.Scene, values: dict[str, jax.Array], least: float, relative_step: float = 1e-5, **how: Any
 ) -> None:
     """Asserts that slopes by numbers at paths of a scene equal differences to 1e-5, and are larger than the least.
 
     The step is relative to the numbers; a small one meets no change of the order in which nodes come into contact.
+    Further arguments are those of `jaxform.simulate`, such as `adjoint`.
     """
     base = jaxform.run(scene)
     assert int(base.status) == 0
     weight = jnp.asarray(np.random.default_rng(1).normal(size=base.positions.shape))
 
     def measure(numbers: dict[str, jax.Array]) -> jax.Array:
-        result = jaxform.simulate(jaxform.replace(scene, numbers), schedule=base.schedule)
+        result = jaxform.simulate(jaxform.replace(scene, numbers), schedule=base.schedule, **how)
         return jnp.sum(weight * result.positions) + 100.0 * result.thickness.mean()
 
     both = jax.jit(jax.value_and_grad(measure))

@@ -197,10 +197,16 @@ def _process(rows: Sequence[dict[str, str]], release: float | None, parcel: Parc
 
     The time [s] at which the clamp opens is marked where it is within that of the rows.
     """
-    time, pressure = _column(rows, "time"), _column(rows, "pressure")
-    factor, unit = (1e-3, "kPa") if np.nanmax(np.abs(pressure), initial=0.0) >= 1e3 else (1.0, "Pa")
-    line = {"label": "pressure", "role": "after", "dots": False}
-    charts = [("Process: pressure", f"pressure [{unit}]", [line | _pack(parcel, "process.p", time, factor * pressure)])]
+    time = _column(rows, "time")
+    pressures = {name: _column(rows, name) for name in rows[0] if name and name.split("_")[0] == "pressure"}
+    largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in pressures.values())
+    factor, unit = (1e-3, "kPa") if largest >= 1e3 else (1.0, "Pa")
+    lines = [
+        {"label": name.removeprefix("pressure_"), "role": _ROLES[k % len(_ROLES)], "dots": False}
+        | _pack(parcel, "process.p" if name == "pressure" else f"process.{name}", time, factor * values)
+        for k, (name, values) in enumerate(pressures.items())
+    ]
+    charts = [("Process: pressure", f"pressure [{unit}]", lines)]
     kinds = (
         ("displacement", "Process: displacement of tools", "displacement [mm]", 1e3),
         ("contact", "Process: contact", "area in contact [%]", 100.0),

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, Tag, model_validator
+from pydantic import AfterValidator, Field, Tag, model_validator
 
 from jaxform.core.ranges import MOST_STEPS
 from jaxform.io.schema.material import Material
 from jaxform.io.schema.mold import Mold, Tools, check_names, tool_name
 from jaxform.io.schema.parison import Parison
 from jaxform.io.schema.quantities import Triple
-from jaxform.io.validation import Coordinate, Number, Table, declared_range, form, validation_error
+from jaxform.io.validation import (
+    Coordinate,
+    Number,
+    Table,
+    declared_range,
+    form,
+    validation_error,
+)
 
 # The table that selects the part from the formed sheet.
 
@@ -81,13 +89,61 @@ AtKnots = Annotated[
 """A number, or one for each knot."""
 
 
+class RegionTable(Table):
+    """A part of the initial sheet: the elements whose centroid is between two places.
+
+    Attributes:
+        along: Place in the initial sheet: distance from the z axis, or a coordinate.
+        between: The two places [m].
+    """
+
+    along: Literal["radius", "x", "y", "z"]
+    between: Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
+
+    @model_validator(mode="after")
+    def _check(self) -> RegionTable:
+        if self.between[1] <= self.between[0]:
+            raise validation_error("does not increase", "give the lower place first", "between", self.between)
+        return self
+
+
+def _region_form(value: Any) -> str:
+    return "several" if isinstance(value, list) else "field" if isinstance(value, str) else "one"
+
+
+def _field_name(text: str) -> str:
+    if not re.fullmatch(r"field:[^=]+(=.+)?", text):
+        raise validation_error("is not a region", _REGION, value=text)
+    _, _, number = text.partition("=")
+    try:
+        float(number or 0.0)
+    except ValueError:
+        raise validation_error("does not end with a number", _REGION, value=text) from None
+    return text
+
+
+_REGION = 'give { along = "x", between = [0.0, 0.1] }, a list of such, or "field:NAME=1" of a mesh file'
+Region = Annotated[
+    Annotated[RegionTable, Tag("<one>")]
+    | Annotated[Annotated[list[RegionTable], Field(min_length=1)], Tag("<several>")]
+    | Annotated[Annotated[str, AfterValidator(_field_name)], Tag("<field>")],
+    form(_region_form),
+]
+"""The elements that a gas pushes: between two places, several such conditions together, or by a field of the mesh."""
+
+
 class GasTable(Table):
     """A gas that is blown into the sheet, or that the sheet traps in the mold; its pressure is a result.
 
     It has a mass flow, a supply behind a valve, a vent, or several of them; see `jaxform.Gas`. A gas in the mold may be
-    given together with [pressure] or, as a second [[gas]], with one inside the sheet.
+    given together with [pressure] or, as a second [[gas]], with one inside the sheet. Gases of several cavities are
+    sections [[gas]] with a region each; the sheet is clamped along the borders of regions.
 
     Attributes:
+        name: Name of the gas of a region, for keys and results; by default gas1, gas2, ... in their order.
+        region: The elements of the initial sheet that it pushes: { along = "x", between = [0.0, 0.1] }, a list of such
+            conditions that all hold, or "field:NAME=1", where that field of the mesh of `shape = "file"` has this
+            value. All of them by default.
         time: Knots [s], increasing; values at them are linear between and held before and after. One at 0 is enough
             for a gas in the mold that nothing changes.
         mass_flow: Mass flow into the modelled part [kg/s], one per knot.
@@ -109,6 +165,8 @@ class GasTable(Table):
             clamped, or the `mold`, for the gas between the sheet and the mold, which resists the sheet.
     """
 
+    name: str | None = None
+    region: Region | None = None
     time: Annotated[list[Number], Field(min_length=1)] = Field(default_factory=lambda: [0.0])
     mass_flow: Annotated[list[Number], Field(min_length=1)] | None = None
     supply_pressure: AtKnots[_SupplyPressure] | None = None
@@ -149,6 +207,11 @@ class GasTable(Table):
                 remedy = "give supply_pressure and orifice_area or vent_area, or leave it out"
                 raise validation_error("has no effect without valve and vent", remedy, key, getattr(self, key))
         return self
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The keys of the gas itself that are given, without its name and region."""
+        return self.model_dump(exclude={"name", "region"}, exclude_none=True)
 
     @property
     def through_orifices(self) -> bool:
@@ -270,7 +333,7 @@ class SceneFile(Table):
         material: The material model.
         pressure: The pressure history; may be absent where a gas, gravity or a moving tool does the work.
         gas: A gas that is blown into the sheet, instead of the pressure history, or one that the sheet traps in the
-            mold: a section [gas], or [[gas]] for each of the two.
+            mold: a section [gas], or [[gas]] for each of the two, or for each of several cavities.
         mold: The mold; without it and without tools the sheet is inflated freely.
         tool: Tools besides the mold, such as plugs: a section [[tool]] for each.
         part: Selection of the part from the formed sheet; without it, all of it.
@@ -300,6 +363,38 @@ class SceneFile(Table):
         given = self.gas if isinstance(self.gas, list) else [] if self.gas is None else [self.gas]
         return sorted(given, key=lambda gas: gas.closed_by)
 
+    @property
+    def regional_gases(self) -> dict[str, GasTable]:
+        """The gases by name, in their order, where one of them pushes a region of the sheet; else none."""
+        given = self.gas if isinstance(self.gas, list) else [] if self.gas is None else [self.gas]
+        if all(gas.region is None for gas in given):
+            return {}
+        return {gas_name(gas, number): gas for number, gas in enumerate(given, 1)}
+
+    @model_validator(mode="after")
+    def _check_regions(self) -> SceneFile:
+        gases = self.gases
+        if not self.regional_gases:
+            for gas in gases:
+                if gas.name is not None:
+                    problem = "has no effect: no gas has a region"
+                    raise validation_error(problem, "give each gas a region, or leave it out", "gas.name", gas.name)
+            return self
+        _check_gas_names(self.gas if isinstance(self.gas, list) else gases)
+        for name, gas in self.regional_gases.items():
+            key, beside = f"gas.{name}.region", [one for one in gases if one.closed_by == gas.closed_by]
+            if gas.region is None and len(beside) > 1:
+                raise validation_error("is missing, and there are other gases on its side", _REGION, key)
+            if self.parison.shape not in _FLAT_SHAPES:
+                problem, remedy = f"is not possible for a {self.parison.shape}", f"use {', '.join(_FLAT_SHAPES)}"
+                raise validation_error(problem, remedy, key)
+            if isinstance(gas.region, str) and self.parison.shape != "file":
+                raise validation_error("is possible for a mesh file alone", _REGION, key, gas.region)
+        if self.parison.adapt is not None:
+            problem, remedy = "does not keep the borders of regions of gases", "leave it out, or refine the mesh"
+            raise validation_error(problem, remedy, "parison.adapt", self.parison.adapt.model_dump())
+        return self
+
     @model_validator(mode="after")
     def _check_gases(self) -> SceneFile:
         sides = [gas.closed_by for gas in self.gases]
@@ -308,8 +403,8 @@ class SceneFile(Table):
             raise validation_error(
                 "is given together with [pressure], on the same side", remedy, "gas.closed_by", "clamp"
             )
-        if len(set(sides)) < len(sides):
-            remedy = 'give one with closed_by = "clamp" and one with "mold"; simulate each cavity with a gas of its own'
+        if len(set(sides)) < len(sides) and not self.regional_gases:
+            remedy = 'give one with closed_by = "clamp" and one with "mold", or a region to the gas of each cavity'
             raise validation_error("has two gases on the same side of the sheet", remedy, "gas", sides)
         if "mold" in sides and (self.mold is None or self.mold.motion is not None):
             problem = "there is no mold that closes it" if self.mold is None else "the mold moves, so it is not closed"
@@ -339,6 +434,38 @@ class SceneFile(Table):
         for number, table in enumerate(self.tool, 1):
             _check_thermal(table, tool_name(table, number), self.cooling)
         return self
+
+
+_FLAT_SHAPES = ("disc", "rectangle", "outline", "file")  # of sheets that gases can push in regions
+
+
+def gas_name(table: Any, number: int) -> str:
+    """The name of a gas of a region, the number-th of a scene from 1 on; a table of a file, validated or not."""
+    name = table.get("name") if isinstance(table, dict) else table.name
+    return name if isinstance(name, str) else f"gas{number}"
+
+
+def find_gas(tables: Any, step: str) -> int | None:
+    """The index of the gas in the list of a scene file's gases that has this name, or is closed by it; or None."""
+    tables = tables if isinstance(tables, list) else []
+    names = [gas_name(table, number) for number, table in enumerate(tables, 1)]
+    sides = [table.get("closed_by", "clamp") if isinstance(table, dict) else table.closed_by for table in tables]
+    found = [k for k, own in enumerate(zip(names, sides, strict=True)) if step in own]
+    return found[0] if len(found) == 1 else None
+
+
+def _check_gas_names(gases: list[GasTable]) -> None:
+    """Raises unless each gas has a name of its own that can be part of a key."""
+    names: list[str] = []
+    taken = {*GasTable.model_fields, "value", "inside", "trapped", "clamp", "mold"}
+    for number, table in enumerate(gases, 1):
+        name, key = gas_name(table, number), f"gas[{number - 1}].name"
+        if name.casefold() in names:
+            raise validation_error("is the name of another gas", "give each gas a name of its own", key, name)
+        if not name.replace("-", "_").isidentifier() or len(name) > 50 or name in taken:
+            remedy = "use letters, digits, - and _, such as left or cavity-2, and no key of a gas"
+            raise validation_error("cannot be the name of a gas", remedy, key, name)
+        names.append(name.casefold())
 
 
 def _check_thermal(table: Any, name: str, cooling: CoolingTable | None) -> None:
