@@ -70,8 +70,11 @@ def draft_bottle(
         )
         raise InputError(problem, "leave --process out for a sheet that is formed into it")
     around = body.radius / (neck * _FIT * _BODY)
-    if around > _HOOP:
-        problem = f"would be stretched {around:.2g} times in hoop direction: its neck is narrow compared with its body"
+    farthest = around if outside is None else around * _farthest(outside) / body.radius
+    if farthest > _HOOP:
+        problem = (
+            f"would be stretched {farthest:.2g} times in hoop direction: its neck is narrow compared with its body"
+        )
         raise InputError(problem, "write the scene by hand from stretch-blow-bottle, with a wider preform")
     preform = _preform(body, neck)
     gain = make_meridian(body.profile).area / make_meridian(preform).area
@@ -113,6 +116,11 @@ def _neck_radius(body: Revolution) -> float:
     """Least radius [m] of a bottle near its neck."""
     near = body.profile[:, 1] <= _TOP * body.length
     return float(body.profile[near, 0].min())
+
+
+def _farthest(outside: BottleBody) -> float:
+    """The largest distance [m] of a bottle's surface from its axis."""
+    return float(np.linalg.norm(outside.mesh.positions[:, :2], axis=1).max())
 
 
 def _preform(body: Revolution, neck: float) -> Array:

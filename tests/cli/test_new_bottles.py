@@ -112,6 +112,17 @@ def test_a_handle_is_refused_with_the_process_that_can_make_it(
     assert "handle" in error and "--process extrusion-blow" in error and error.count("\n") == 1
 
 
+def test_a_flask_whose_narrow_sides_are_too_far_from_its_neck_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh = squat("flask")
+    meshes.write_stl(tmp_path / "flask.stl", mesh.positions, mesh.triangles)
+    assert _new(tmp_path / "new", tmp_path / "flask.stl", "--process", "stretch-blow") == 2
+    error = capsys.readouterr().err
+    # 70 mm from the axis, by a preform of 10.5 mm; of the mean section, which is 38 mm wide, 3.8 times.
+    assert "stretched 6.7 times" in error and error.count("\n") == 1
+
+
 def test_findings_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mold = _write(tmp_path / "large.stl", BOTTLE, segments=96)
     assert main(["new", str(tmp_path / "new"), "--mold", str(mold), "--process", "stretch-blow"]) == 0
