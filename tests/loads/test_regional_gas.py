@@ -35,7 +35,8 @@ SIDE = 0.1
 def _gas(start: float, flow: float = 8e-3, slower: float = 1.0, **given: Any) -> jaxform.Gas:
     """A gas that is blown in within 40 ms from a start on [s], or slower in all."""
     times = slower * np.array([start, start + 0.02, start + 0.04])
-    return jaxform.make_gas(times, [0.0, flow / slower, 0.0], **({"dead_volume": 1e-4} | given))
+    given = {"dead_volume": 1e-4} | given
+    return jaxform.make_gas(times, [0.0, flow / slower, 0.0], **given)
 
 
 def _two_cavities(left: jaxform.Gas, right: jaxform.Gas, end_time: float = 0.1, **given: Any) -> jaxform.Scene:
