@@ -69,7 +69,7 @@ class _WindowResiduals:
         positions: Positions of nodes that landed, before that step (3, n_node) [m].
         velocities: Velocities at the end (3, n_node) [m/s]; of nodes that landed, those before the impact. Where
             damping makes the steps irreversible, both are those of all nodes at the window's begin.
-        curved: Where nodes land on curved paths, their `ContactStep.curve` and position after the landing's step
+        curved: `ContactStep.curve` of nodes that land on curved paths, and their position after the landing's step
             (6, n_node) [m]; None otherwise.
     """
 

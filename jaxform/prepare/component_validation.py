@@ -387,7 +387,7 @@ def check_clamp_opening(parison: Parison, pressure: Loading, solver: Solver, sur
 
 
 def _pushes_on(pressure: Pressure, begin: float, end: float, held: bool) -> bool:
-    """Whether a pressure rises between two times [s] or, where no tool holds the sheet, acts at the later one."""
+    """True if a pressure rises between two times [s] or, where no tool holds the sheet, acts at the later one."""
     time, value = np.asarray(pressure.time, float), np.asarray(pressure.value, float)
     # Between its knots a pressure rises or falls all the way.
     size = np.abs(np.interp([begin, *time[(time > begin) & (time < end)], end], time, value))

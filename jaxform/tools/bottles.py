@@ -545,7 +545,7 @@ def find_revolution(mesh: Mesh) -> Revolution:
 
 
 def describe_bottle(mesh: Mesh) -> str:
-    """What makes a solid look like a bottle, and the process that blows it; empty for what does not.
+    """Reasons why a solid looks like a bottle, and the process that blows it; empty if it does not.
 
     A bottle has a narrow neck, and a handle, a length of twice its mean radius at least, or a base narrower than its
     body, which a buck has not.

@@ -119,7 +119,7 @@ def test_a_sheet_that_hangs_over_a_mold_too_small_for_it_is_warned_of() -> None:
 
 
 def test_a_run_that_reaches_its_end_with_energy_missing_says_so() -> None:
-    """Random seed 127 with steps too long: a hundredth of the work is missing after a sudden pressure, hardly damped."""
+    """Random seed 127, steps too long: a hundredth of the work is missing after a sudden pressure, hardly damped."""
     drawn = random_scenes.draw(127)
     solver = dataclasses.replace(drawn.scene.solver, safety=1.6, damping=scenes.real(1.0))
     _, result = stress.run_drawn(dataclasses.replace(drawn, scene=dataclasses.replace(drawn.scene, solver=solver)))
