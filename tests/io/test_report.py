@@ -446,7 +446,7 @@ def test_tools_are_where_they_were_at_each_frame(folder: Path, tmp_path: Path) -
 def test_the_process_has_a_diagram_for_each_panel() -> None:
     rows = [{"time": "0", "pressure": "0", "displacement_plug": "0", "contact_mold": "0", "contact_plug": ""}]
     rows += [{"time": "1", "pressure": "2e4", "displacement_plug": "0.05", "contact_mold": "1", "contact_plug": "0.1"}]
-    drawn = charts._process(rows, contents.Parcel())
+    drawn = charts._process(rows, None, contents.Parcel())
     assert [chart["y"] for chart in drawn] == ["pressure [kPa]", "displacement [mm]", "area in contact [%]"]
     assert [[line["label"] for line in chart["series"]] for chart in drawn] == [
         ["pressure"],
