@@ -110,7 +110,8 @@ def test_a_sheet_let_go_over_a_mold_has_exact_gradients() -> None:
     @jax.value_and_grad
     def measure(values: jax.Array) -> jax.Array:
         end = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": values}), schedule=schedule)
-        return jnp.sum(weight * end.positions) + 1e2 * jnp.sum(weight[:, 0] * end.thickness) + end.energy.damping_loss
+        losses = end.energy.damping_loss + end.energy.contact_loss
+        return jnp.sum(weight * end.positions) + 1e2 * jnp.sum(weight[:, 0] * end.thickness) + losses
 
     _, slope = measure(thickness)
     step = 1e-5 * thickness * np.random.default_rng(1).standard_normal(thickness.shape)
