@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `jaxform adapt`."""
     parser.add_argument("source", metavar="SCENE", help="a built-in name or a .toml file")
     parser.add_argument("--out", metavar="DIR", required=True, type=Path, help=f"folder for {NAME} and its mesh")
-    words = "largest number of elements; by default that of parison.adapt, or 2500"
+    words = "largest number of elements; by default that of parison.adapt, 2500, or that of SCENE if larger"
     parser.add_argument("--elements", metavar="N", type=int, help=words)
     words = "how many times the sheet is run and meshed anew; by default that of parison.adapt, or 2"
     parser.add_argument("--passes", metavar="N", type=int, help=words)

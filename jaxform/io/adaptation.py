@@ -37,6 +37,7 @@ _STOPS = (
 )
 """Statuses of runs whose wall does not say where elements should be; an unfilled corner is none of them."""
 _DOUBTFUL, _GOOD = 0.10, 0.05  # estimated errors of the elements' wall: of one to warn of, and of one that will do
+_ELEMENTS = 2500  # of a new mesh by default, where the first has no more
 _RECENT = 8  # adapted meshes that a process keeps, which a study and its best scene ask for again
 _recent: dict[str, Arrays] = {}
 
@@ -104,7 +105,7 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Re
     wanted = document.model.parison.adapt
     assert wanted is not None
     mesher.load_mmg()
-    expected = 0.0
+    expected, most = 0.0, wanted.elements or max(_ELEMENTS, len(sheet.triangles))
     for number in range(1, wanted.passes + 1):
         scene = files.build_unchecked(document, store, sheet)
         result = _run_quietly(scene, store)
@@ -114,7 +115,7 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Re
         if report is not None:
             report(number, sheet, error)
         lines, before = size_field.edge_lines(scene, result), len(sheet.triangles)
-        sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), wanted.elements, lines)
+        sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), most, lines)
         expected = error * float(np.sqrt(before / len(sheet.triangles)))
     return {**_arrays(sheet), _ERROR: np.array(expected)}
 

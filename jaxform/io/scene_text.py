@@ -22,7 +22,7 @@ from jaxform.tools.plugs import WIDTH
 COVERS, IMAGES, PLATEN, PLUG = "covers.stl", "images.stl", "platen.stl", "plug.stl"
 """Names of the files of a mold's covers, of the images that complete a cut mold, of a buck's platen and of a plug."""
 
-ADAPT = "# adapt = { elements = 2500 }  # elements where the wall needs them, found by two runs; pip install mmgpy"
+ADAPT = "# adapt = {}  # elements where the wall needs them, found by two runs; pip install mmgpy"
 """The comment on adapted meshes in a new scene."""
 
 _CONTENT = {

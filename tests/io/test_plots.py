@@ -285,7 +285,11 @@ def test_a_design_of_a_gas_has_the_pressures_that_its_runs_recorded(
     scene, result = _at_rest(SHEETS["disc"])
     scene = dataclasses.replace(scene, pressure=jaxform.make_gas([0.0, 1.0], [0.0, 1e-3], dead_volume=1.0))
     drawn: list[np.ndarray] = []
-    monkeypatch.setattr(plots, "_draw_pressures", lambda _, time, *pair: drawn.append(np.stack([time, *pair])))
+
+    def draw(_: object, time: np.ndarray, *pair: dict[str, np.ndarray]) -> None:
+        drawn.append(np.stack([time, *(values for part in pair for values in part.values())]))
+
+    monkeypatch.setattr(plots, "_draw_pressures", draw)
     first, last = (
         dataclasses.replace(result, pressures=np.array([[0.0, 0.5], [0.0, end]]), status=jnp.int32(0))
         for end in (1.0, 3.0)

@@ -29,11 +29,12 @@ class Adapt(Table):
     """The mesh that a sheet gets before its run, finer where the wall of earlier runs is less accurate.
 
     Attributes:
-        elements: Largest number of triangles of the new mesh.
+        elements: Largest number of triangles of the new mesh; by default 2500, or that of the first mesh where it is
+            larger.
         passes: Number of times that the sheet is run and then meshed anew.
     """
 
-    elements: Annotated[int, Field(ge=20, le=10_000_000)] = 2500
+    elements: Annotated[int, Field(ge=20, le=10_000_000)] | None = None
     passes: Annotated[int, Field(ge=1, le=5)] = 2
 
 
