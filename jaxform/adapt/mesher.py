@@ -305,14 +305,8 @@ def _cut_chords(points: Array, triangles: Index, edges: Index, clamped: Mask) ->
     joins &= ~np.isin(sides @ [base, 1], np.sort(edges, axis=1) @ [base, 1])
     if not joins.any():
         return points, triangles
-    chords, number = np.unique(sides[joins], axis=0, return_inverse=True)
-    middle = np.full(len(sides), -1)
-    middle[joins] = base + number.ravel()
-    middles = [[None if k < 0 else k for k in row] for row in middle.reshape(-1, 3).tolist()]
-    cut = [
-        part for one, of in zip(triangles.tolist(), middles, strict=True) for part in topology.split_triangle(one, of)
-    ]
-    return np.concatenate([points, points[chords].mean(1)]), np.array(cut, np.int64)
+    chords = np.unique(sides[joins], axis=0)
+    return topology.split_edges(points, triangles, chords, points[chords].mean(1))
 
 
 # Lines that are to be edges of the new mesh: nodes along them, as far apart as the sizes say, are put into the old mesh

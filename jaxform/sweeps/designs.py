@@ -157,6 +157,7 @@ def parse_path(path: str) -> list[Step]:
 _NO_LIST = "is not a list in the scene"
 _NO_TABLE = "does not belong to a table of the scene"
 _NO_TOOL = "is not a tool of the scene"
+_NO_GAS = "is not a gas of the scene"
 
 
 def set_value(data: dict[str, Any], path: str, value: Any) -> None:
@@ -170,8 +171,8 @@ def set_value(data: dict[str, Any], path: str, value: Any) -> None:
     following: Any
     step: Any
     for step, following in zip(steps, [*steps[1:], None], strict=True):
-        if isinstance(step, str) and steps[0] in _NUMBERED and (tables := _as_list(place)) is not None:
-            step = _NUMBERED[steps[0]](tables, step, path)
+        if isinstance(step, str) and steps[0] in _NAMED and (tables := _as_list(place)) is not None:
+            step = _named_index(steps[0], tables, step, path)
         if isinstance(step, int):
             if not isinstance(place, list):
                 raise InputError(_NO_LIST, "name the key alone, or write a list there", path)
@@ -198,34 +199,25 @@ def _as_list(value: Any) -> list[Any] | None:
     return value if isinstance(value, list) else None
 
 
-def _tool_number(tables: list[Any], name: str, path: str) -> int:
-    """The index of a tool of this name.
+_NAMED = {
+    "tool": (schema.find_tool, schema.tool_name, _NO_TOOL, "tools"),
+    "gas": (schema.find_gas, schema.gas_name, _NO_GAS, "gases"),
+}
+"""Sections that are lists of tables, with functions for the index of a name and the name of a table, and two words."""
+
+
+def _named_index(kind: str, tables: list[Any], name: str, path: str) -> int:
+    """The index of the tool or gas of this name; of a gas also by what closes it.
 
     Raises:
         InputError: There is none.
     """
-    number = schema.find_tool(tables, name)
+    find, name_of, problem, word = _NAMED[kind]
+    number = find(tables, name)
     if number is None:
-        known = [schema.tool_name(table, k) for k, table in enumerate(tables, 1)]
-        raise InputError(_NO_TOOL, f"its tools are {', '.join(known) or 'none'}", path)
+        known = [name_of(table, k) for k, table in enumerate(tables, 1)]
+        raise InputError(problem, f"its {word} are {', '.join(known) or 'none'}", path)
     return number
-
-
-def _gas_number(tables: list[Any], name: str, path: str) -> int:
-    """The index of a gas of this name, or that is closed by it.
-
-    Raises:
-        InputError: There is none.
-    """
-    number = schema.find_gas(tables, name)
-    if number is None:
-        known = [schema.gas_name(table, k) for k, table in enumerate(tables, 1)]
-        raise InputError("is not a gas of the scene", f"its gases are {', '.join(known)}", path)
-    return number
-
-
-_NUMBERED: dict[Any, Callable[[list[Any], str, str], int]] = {"tool": _tool_number, "gas": _gas_number}
-"""Sections that are lists of tables, and what finds a table of a name in them."""
 
 
 def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None, about: str = "") -> list[DesignRow]:
