@@ -158,6 +158,9 @@ _NO_LIST = "is not a list in the scene"
 _NO_TABLE = "does not belong to a table of the scene"
 _NO_TOOL = "is not a tool of the scene"
 _NO_GAS = "is not a gas of the scene"
+_NO_ELEMENT = "is not there: the scene's list has"
+_MISNAMED = _NO_LIST, _NO_TABLE, _NO_TOOL, _NO_GAS, _NO_ELEMENT
+"""Beginnings of the problems of paths that lead nowhere in the scene, whatever the value."""
 
 
 def set_value(data: dict[str, Any], path: str, value: Any) -> None:
@@ -177,7 +180,7 @@ def set_value(data: dict[str, Any], path: str, value: Any) -> None:
             if not isinstance(place, list):
                 raise InputError(_NO_LIST, "name the key alone, or write a list there", path)
             if not -len(place) <= step < len(place):
-                problem = f"is not there: the scene's list has {len(place)} elements"
+                problem = f"{_NO_ELEMENT} {len(place)} elements"
                 raise InputError(problem, "count from 0, or -1 for the last", path)
         elif not isinstance(place, dict):
             raise InputError(_NO_TABLE, "name the key alone, or write a table there", path)
@@ -315,7 +318,7 @@ def _refuse(table: Rows, errors: list[InputError]) -> None:
     key = re.sub(r"\[-?\d+\]", "", first.key)
     in_column = any(key == path or key.startswith(f"{path}.") or path.startswith(f"{key}.") for path in columns)
     same = all((error.key, error.problem) == (first.key, first.problem) for error in errors)
-    misnamed = first.problem == NO_KEY or first.problem.startswith((_NO_LIST, _NO_TABLE, _NO_TOOL))
+    misnamed = first.problem == NO_KEY or first.problem.startswith(_MISNAMED)
     if not same or (in_column and not misnamed):
         return
     raise dataclasses.replace(first, file=table.file) if in_column else first
@@ -356,10 +359,11 @@ def name_scene(design: DesignRow) -> SceneDocument:
 
 def unit_of(model: Any, path: str) -> str:
     """The unit of the quantity at a path of a validated scene file, as its description gives it; empty without one."""
-    unit, place = "", model
-    for step in parse_path(path):
+    unit, place, steps = "", model, parse_path(path)
+    find = _NAMED.get(str(steps[0]), _NAMED["tool"])[0]
+    for step in steps:
         if (tables := _as_list(place)) is not None or isinstance(step, int):
-            index = schema.find_tool(tables, step) if isinstance(step, str) else step
+            index = find(tables, step) if isinstance(step, str) else step
             there = tables is not None and index is not None and -len(tables) <= index < len(tables)
             place = tables[index] if there and tables and index is not None else None
             continue

@@ -25,6 +25,7 @@ from jaxform.mesh import meshes, topology, volumes
 from jaxform.model.scene import enclosed_volumes
 from jaxform.sheet.active_set import active_set_of
 from jaxform.sheet.discretization import discretize
+from jaxform.sweeps import designs
 from jaxform.sweeps.designs import set_value
 from tests import scenes
 from tests.loads.slopes import assert_slopes_are_differences
@@ -299,6 +300,24 @@ def test_tables_of_gases_are_found_by_name(tmp_path: Path) -> None:
     assert data["gas"][1] == {"closed_by": "mold", "vent_area": 2.0, "dead_volume": 3.0}
     with pytest.raises(jaxform.InputError, match="its gases are left, gas2"):
         set_value(data, "gas.right.vent_area", 1.0)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(("column", "words"), [
+    ("gas.middle.dead_volume", r"table\.csv: gas\.middle\.dead_volume: is not a gas of the scene; .* are left, gas2"),
+    ("gas[2].dead_volume", r"table\.csv: gas\[2\]\.dead_volume: is not there: the scene's list has 2 elements"),
+])  # fmt: skip
+def test_sweep_of_a_gas_that_is_none_is_refused_as_a_whole(column: str, words: str, tmp_path: Path) -> None:
+    scene, table = _write(tmp_path / "two.toml", name=""), tmp_path / "table.csv"
+    table.write_text("gas.gas2.dead_volume,gas.left.mass_flow[1]\n2e-4,6e-3\n3e-4,7e-3\n")
+    documents = [design.document for design in designs.make_designs(designs.read_table(table), scene)]
+    assert [one.model.gases[1].dead_volume for one in documents if one] == [2e-4, 3e-4]
+    model = files.read_scene(scene).model
+    units = [designs.unit_of(model, f"gas.{key}") for key in ("gas2.dead_volume", "left.mass_flow[1]")]
+    assert units == ["m^3", "kg/s"]
+    table.write_text(f"{column}\n2e-4\n3e-4\n")
+    with pytest.raises(jaxform.InputError, match=words):
+        designs.make_designs(designs.read_table(table), scene)
 
 
 @pytest.mark.quick

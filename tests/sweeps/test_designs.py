@@ -105,6 +105,7 @@ def test_columns_are_separated_by_commas_semicolons_or_tabs(tmp_path: Path, mark
         ("solver.safty\n0.5\n0.6\n", "did you mean safety"),
         ("mould.depth\n0.1\n", "mould: is not a valid key here"),
         ("material.c[0]\n1e5\n", "is not a list in the scene"),
+        ("pressure.value[7]\n1e4\n2e4\n", "is not there: the scene's list has 2 elements"),
         ("material.c.value\n1e5\n", "does not belong to a table of the scene"),
     ],
 )
