@@ -1,9 +1,10 @@
 """Gain by adapted meshes: error and time of adapted and uniform runs of cup and dish, against the exact wall.
 
-`python -m benchmarks.accuracy.adaptation [cup] [deep]`. The error is that of the whole wall at the pressure reached,
-nothing cut, by initial area: of the elements and of the recovered wall at the nodes. An adapted run's time is that of
-all its runs, and of the meshing between them; compiling is left out. The last line of each cup is the time of the
-adapted run over that of a uniform mesh as accurate, by the nodes.
+`python -m benchmarks.accuracy.adaptation [cup] [deep] [bound]`. The error is that of the whole wall at the pressure
+reached, nothing cut, by initial area: of the elements and of the recovered wall at the nodes. An adapted run's time is
+that of all its runs, and of the meshing between them; compiling is left out. The last line of each cup is the time of the
+adapted run over that of a uniform mesh as accurate, by the nodes. `bound` prints the least error of elements on any
+isotropic mesh.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from benchmarks.timing import one_core
 from jaxform.adapt import mesher
 from jaxform.io import files
 from jaxform.mesh.shapes import Sheet
+from jaxform.mesh.volumes import areas
 from jaxform.model.scene import Scene
 from jaxform.results.result import drop_unused
 from jaxform.results.size_field import edge_lines, wanted_sizes
@@ -148,6 +150,49 @@ def _cpu_time(scene: Scene) -> float:
     return time.process_time() - began
 
 
+# The least error of constant-strain triangles.
+
+_WALL = np.radians(80.0)  # of the cups
+_FINE = 10_000  # elements of the uniform mesh on which the error over the size is measured
+_RINGS = 40
+_CORNER = 0.03  # initial radii on either side of the corner, whose elements are taken to cost and to miss nothing
+
+
+def bound_of_elements(cup: Cup, elements: int) -> float:
+    """The least relative rms error of the elements' thickness at their centroids, with exact nodes.
+
+    A linear triangle misses the area ratio of a smooth map to first order in its size. With C the rms error over the
+    side of equilateral triangles, n of them have at best the rms error (4 / (sqrt(3) n))^(1/2) times the integral of C
+    over the sheet, with sides in proportion to C^(-1/2).
+    """
+    wall, sheet = cases.exact_table(cup.table), _disc(_FINE)
+    initial, triangles = np.asarray(sheet.positions), np.asarray(sheet.triangles)
+    formed, corner = _exact_positions(initial, wall, cup.depth)
+    area = areas(initial, triangles)
+    place = np.hypot(*initial[triangles].mean(1)[:, :2].T)
+    miss = area / areas(formed, triangles) / cases.exact_ratio(place, wall) - 1.0
+    ring = np.minimum((_RINGS * place).astype(int), _RINGS - 1)
+    squares = np.bincount(ring, np.square(miss) * area) / np.bincount(ring, 4.0 / np.sqrt(3.0) * np.square(area))
+    mid = (np.arange(_RINGS) + 0.5) / _RINGS
+    counted = np.where(np.abs(mid - corner) > _CORNER, np.sqrt(squares) * 0.5 * np.pi * mid / _RINGS, 0.0)
+    return float(np.sqrt(4.0 / np.sqrt(3.0) / elements) * counted.sum())
+
+
+def _exact_positions(initial: np.ndarray, wall: dict[str, np.ndarray], depth: float) -> tuple[np.ndarray, float]:
+    """Where points (n, 3) of the disc come to lie, by the mass of the exact wall; the material radius of the corner."""
+    radius = np.linspace(0.0, 1.0, 200_001)
+    ring = 0.5 * (radius[1:] + radius[:-1]) * np.diff(radius)
+    ring = ring / cases.exact_ratio(0.5 * (radius[1:] + radius[:-1]), wall)
+    inside, bottom = np.append(0.0, np.cumsum(ring)), 1.0 - depth / np.tan(_WALL)
+    on_bottom = np.sqrt(2.0 * inside)
+    down = (1.0 - np.sqrt(np.maximum(1.0 - 2.0 * np.cos(_WALL) * (inside[-1] - inside), 0.0))) / np.cos(_WALL)
+    lies = on_bottom <= bottom
+    at, height = np.where(lies, on_bottom, 1.0 - down * np.cos(_WALL)), np.where(lies, depth, down * np.sin(_WALL))
+    own = np.hypot(*initial[:, :2].T)
+    share = np.interp(own, radius, at) / np.maximum(own, np.finfo(float).tiny)
+    return np.column_stack([initial[:, :2] * share[:, None], np.interp(own, radius, height)]), float(radius[lies][-1])
+
+
 def time_of_uniform(rows: list[Row], error: float, kind: str = "nodal thickness") -> float:
     """The time [s] of a uniform run of an error: by a power law through the two finest runs, for it is beyond most."""
     (coarse, fine), (early, late) = np.log(
@@ -171,7 +216,12 @@ def main(names: list[str]) -> None:
     """Prints errors, times, orders and the ratio of times of some cups, by default of all."""
     jax.config.update("jax_enable_x64", True)
     one_core()
-    for name in names or CUPS:
+    for name in names or [*CUPS, "bound"]:
+        if name == "bound":
+            for each, cup in CUPS.items():
+                bound = bound_of_elements(cup, _SIZES[1])
+                print(f"elements of {each}, least error of any {_SIZES[1]} equilateral ones: {100 * bound:.2f} %")
+            continue
         cup = CUPS[name]
         print(f"{name}:", flush=True)
         rows: dict[str, list[Row]] = {"uniform": [], "adapted": []}
