@@ -1,10 +1,10 @@
 """Gain by adapted meshes: error and time of adapted and uniform runs of cup and dish, against the exact wall.
 
 `python -m benchmarks.accuracy.adaptation [cup] [deep] [bound]`. The error is that of the whole wall at the pressure
-reached, nothing cut, by initial area: of the elements and of the recovered wall at the nodes. An adapted run's time is
-that of all its runs, and of the meshing between them; compiling is left out. The last line of each cup is the time of the
-adapted run over that of a uniform mesh as accurate, by the nodes. `bound` prints the least error of elements on any
-isotropic mesh.
+reached, nothing cut, by initial area: of the elements and of the recovered wall at the nodes. An adapted run's time
+is that of all its runs, and of the meshing between them; compiling is left out. The last line of each cup is the time
+of the adapted run over that of a uniform mesh as accurate, by the nodes. `bound` prints the least error of elements
+on any isotropic mesh.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def bound_of_elements(cup: Cup, elements: int) -> float:
 
 
 def _exact_positions(initial: np.ndarray, wall: dict[str, np.ndarray], depth: float) -> tuple[np.ndarray, float]:
-    """Where points (n, 3) of the disc come to lie, by the mass of the exact wall; the material radius of the corner."""
+    """Formed positions of points (n, 3) of the disc, by the mass of the exact wall; material radius of the corner."""
     radius = np.linspace(0.0, 1.0, 200_001)
     ring = 0.5 * (radius[1:] + radius[:-1]) * np.diff(radius)
     ring = ring / cases.exact_ratio(0.5 * (radius[1:] + radius[:-1]), wall)
