@@ -42,6 +42,21 @@ TESTS = {
     "models": ["tests/materials", "tests/runs/test_features.py"],
     "padding": ["tests/runs/test_padding.py", "tests/runs/test_features.py"],
     "readers": ["tests/mesh"],
+    "friction": ["tests/contact/test_sliding.py", "tests/runs/test_features.py"],
+    "edges": ["tests/contact/test_edge_contact.py"],
+    "motion": ["tests/tools/test_motion.py", "tests/contact/test_sliding.py", "tests/runs/test_features.py"],
+    "gas": ["tests/loads"],
+    "closing": ["tests/contact/test_pinch.py", "tests/tools/test_parting.py"],
+    "clamp": ["tests/dynamics/test_clamp.py"],
+    "recovery": ["tests/results/test_recovery.py"],
+    "sizes": ["tests/adapt/test_mesher.py", "tests/io/test_adaptation.py"],
+    "sweeps": ["tests/sweeps", "tests/cli/test_sweep.py"],
+    "balance": ["tests/results/test_energy.py", "tests/dynamics", "tests/runs/test_features.py"],
+    "cooling": [
+        "tests/materials/test_cooling.py",
+        "tests/materials/test_temperature.py",
+        "tests/runs/test_features.py",
+    ],
 }
 """The tests that are asked, by area; the first that fails ends the search."""
 
@@ -127,6 +142,38 @@ FAULTS = [
     Fault("readers", "jaxform/mesh/ply.py", '"binary_big_endian": ">"', '"binary_big_endian": "<"'),
     Fault("readers", "jaxform/mesh/solver_decks.py", 'word.lower().replace("d", "e")', "word.lower()"),
     Fault("readers", "jaxform/mesh/ply.py", '("uchar", "uint8"), "u1"', '("uchar", "uint8"), "i1"'),
+    Fault(
+        "friction",
+        "jaxform/tools/contact_law.py",
+        "1.0 - self.friction * push / speed",
+        "1.0 - 0.9 * self.friction * push / speed",
+    ),
+    Fault("friction", "jaxform/tools/contact_law.py", "square > jnp.square(self", "square > 0.5 * jnp.square(self"),
+    Fault("friction", "jaxform/tools/surface_walk.py", "(1.0 - share) * glide.left", "share * glide.left"),
+    Fault("friction", "jaxform/contact/facet_slip.py", "(gamma + delta <= 1.0 + OUT)", "(gamma + delta <= 2.0)"),
+    Fault("edges", "jaxform/contact/edge_contact.py", "(b * e - c * d) / area", "(b * e + c * d) / area"),
+    Fault("edges", "jaxform/contact/edge_contact.py", "_OVERHANG = 0.5", "_OVERHANG = 1.0"),
+    Fault("motion", "jaxform/tools/mold.py", "s * s * (3.0 - 2.0 * s) * (end - begin)", "s * (end - begin)"),
+    Fault("motion", "jaxform/contact/sliding.py", "else frame.offset[k] - length * c)", "else frame.offset[k])"),
+    Fault("gas", "jaxform/loads/gas.py", "0.5 * slope * passed)", "slope * passed)"),
+    Fault("gas", "jaxform/loads/gas.py", "(before / middle) ** power", "(middle / before) ** power"),
+    Fault("gas", "jaxform/loads/gas.py", "self.at_knots(self.vent, time) * self.vent_area", "self.vent_area"),
+    Fault("closing", "jaxform/prepare/component_validation.py", "level - side * _BEHIND", "level + side * _BEHIND"),
+    Fault("closing", "jaxform/tools/parting.py", "*(low - width), *(high + width)", "*low, *(high + width)"),
+    Fault("clamp", "jaxform/sheet/state.py", "jnp.minimum(end, until)", "end"),
+    Fault("clamp", "jaxform/sheet/scheme.py", "else 1.0 / 8.0", "else 1.0 / 24.0"),
+    Fault("recovery", "jaxform/results/recovery.py", "mean - jnp.sum(slope * first, axis=0), slope", "mean, slope"),
+    Fault("recovery", "jaxform/results/recovery.py", "first = jnp.where(mobile, first, 0.0)", "first = 1.0 * first"),
+    Fault("sizes", "jaxform/results/size_field.py", "** (-0.5 * _POWER)", "** (0.5 * _POWER)"),
+    Fault("sizes", "jaxform/results/size_field.py", ".mean(1)) - recovered", ".mean(1)) + recovered"),
+    Fault("sweeps", "jaxform/sweeps/designs.py", "int(share * (most - least + 1))", "int(share * (most - least))"),
+    Fault("sweeps", "jaxform/sweeps/designs.py", "low * (high / low) ** share", "low + (high - low) * share"),
+    Fault("balance", "jaxform/sheet/energy_balance.py", "way)) / 12.0", "way)) / 6.0"),
+    Fault(
+        "balance", "jaxform/sheet/energy_balance.py", "0.5 * jnp.sum(mass * membrane.dot", "jnp.sum(mass * membrane.dot"
+    ),
+    Fault("cooling", "jaxform/materials/temperature.py", "/ (6.0 * self.conductivity)", "/ (3.0 * self.conductivity)"),
+    Fault("cooling", "jaxform/sheet/heat.py", "return share / 3.0", "return share / 2.0"),
 ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import multiprocessing
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -117,6 +117,12 @@ def assert_refused(folder: Path, text: str, words: str, named: str = "scene.toml
     with pytest.raises(jaxform.InputError, match=words) as caught:
         files.load(path)
     assert named in str(caught.value)
+
+
+def short_first(values: Iterable[Any], count: int = 1) -> list[Any]:
+    """Parameters of a test of which `make test` takes the first, and `make test-all` the others, too."""
+    given = [value if isinstance(value, tuple) else (value,) for value in values]
+    return [pytest.param(*one, marks=[pytest.mark.long] if k >= count else []) for k, one in enumerate(given)]
 
 
 def real(value: float) -> jnp.ndarray:

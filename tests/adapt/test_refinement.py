@@ -169,7 +169,7 @@ def look_at(scene: Scene) -> tuple[discretization.Discretization, np.ndarray, np
     return now, np.asarray(discretization.element_levels(mesh.element, forest))[:count], distance, side
 
 
-@pytest.mark.parametrize("reach", [1.0, 2.0])
+@pytest.mark.parametrize("reach", scenes.short_first([1.0, 2.0]))
 def test_what_is_near_a_bend_becomes_as_fine_as_it_should_be(reach: float) -> None:
     scene = over_a_block(reach)
     assert scene.tables.forest is not None and scene.tables.forest.bend is not None and scene.tables.grid is not None
@@ -221,6 +221,7 @@ def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_thei
         assert np.any(kept == 0.0) and np.any(kept == 1.0)
 
 
+@pytest.mark.long
 def test_a_sheet_that_lies_on_the_mold_is_refined_with_a_finite_gradient() -> None:
     scene = flying_at_first(over_a_block(2.0, gap=0.0))
     before, now = scenes.begin_run(scene)
@@ -303,6 +304,7 @@ def _volume_and_area(part: Result) -> tuple[float, float]:
     return float(volume.sum()), float((volume / wall).sum())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("factor", "end_time"), [(0.6, 12.0), (1.0, 20.0)])
 def test_a_replay_goes_on_where_its_schedule_does_not_fit(
     scene: Scene, live: Result, factor: float, end_time: float

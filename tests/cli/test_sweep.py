@@ -173,6 +173,7 @@ def test_a_client_that_is_killed_goes_on_where_it_was(folder: Path, sweep_folder
     assert _without_times(after) == _without_times(_rows(sweep_folder))
 
 
+@pytest.mark.long
 def test_an_interruption_says_how_to_go_on(folder: Path, sweep_folder: Path) -> None:
     out = folder / "interrupted"
     known = os.environ | {"PYTHONPATH": str(ROOT)}
@@ -192,6 +193,7 @@ def test_an_interruption_says_how_to_go_on(folder: Path, sweep_folder: Path) -> 
     assert said == f"jaxform: interrupted; {len(_rows(out))} rows are recorded: resume with --resume"
 
 
+@pytest.mark.long
 def test_each_row_can_be_a_search(folder: Path, sweep_folder: Path, tmp_path: Path) -> None:
     study = """
 scene = "scene.toml"

@@ -76,7 +76,7 @@ _MOLDS = {
 }
 
 
-@pytest.mark.parametrize("name", list(_MOLDS))
+@pytest.mark.parametrize("name", scenes.short_first(_MOLDS, 2))
 def test_random_paths_land_where_brute_force_says(name: str) -> None:
     # Brute force goes through forty thousand triangles for each path there.
     found = figures.compare(_MOLDS[name](), 1024 if name == "fine torus" else 4096, seed=3)
@@ -92,7 +92,7 @@ def _walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tup
     return landing.nodes.positions, landing.nodes.stuck
 
 
-@pytest.mark.parametrize("name", ["box-insert", "mixed", "tangled"])
+@pytest.mark.parametrize("name", scenes.short_first(["mixed", "tangled", "box-insert"]))
 def test_nodes_that_land_one_by_one_land_as_all_at_once(name: str) -> None:
     """As a run without derivatives puts them there, and as one with derivatives does."""
     wall = _MOLDS[name]()

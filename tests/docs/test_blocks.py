@@ -108,6 +108,7 @@ jitted = jax.jit(mean)
 _CALL = "assert float(jitted(jnp.asarray(1.0))) > 0.0"
 
 
+@pytest.mark.long
 def test_a_jitted_script_compiles_once_though_simulate_is_first_used_inside_the_trace(tmp_path: Path) -> None:
     """No module that is imported then may add to what JAX compares when it looks for a traced function."""
     ((_, first), (_, second)), _ = _run([_JITTED, _CALL], tmp_path, quickly=False)

@@ -30,7 +30,7 @@ from jaxform.sheet.state import is_finished, noise_vector
 from tests import scenes
 
 
-@pytest.mark.parametrize("switch", ["skip_stuck", "skip_far", "end_early"])
+@pytest.mark.parametrize("switch", scenes.short_first(["skip_stuck", "skip_far", "end_early"], 2))
 def test_the_result_is_the_same_with_a_skip_off(switch: str) -> None:
     """The steps are held to the elements' bound: the search for the highest mode depends on what is packed away."""
     scene = disable_skips(scenes.cup(), sharp_step=False)
@@ -143,8 +143,8 @@ def test_what_sticks_is_packed_away() -> None:
     np.testing.assert_allclose(volume, all_volume, rtol=1e-12)
 
 
-@pytest.mark.parametrize("paired", [False, True])
-@pytest.mark.parametrize("backend", ["cpu", "another"])
+@pytest.mark.parametrize("paired", scenes.short_first([False, True]))
+@pytest.mark.parametrize("backend", scenes.short_first(["cpu", "another"]))
 def test_a_node_of_many_elements_hands_its_surplus_to_a_list(
     backend: str, paired: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,6 +272,7 @@ def test_the_slope_of_a_batch_is_that_of_its_designs_whatever_is_stored() -> Non
     np.testing.assert_allclose(pressing, sum(p for _, p in single), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 def test_a_batch_gives_the_results_of_single_runs() -> None:
     scene = scenes.cup()
     factors = np.array([0.8, 1.0, 1.25])

@@ -47,6 +47,7 @@ def cup_result(cup: jaxform.Scene) -> jaxform.Result:
     return jaxform.run(cup)
 
 
+@pytest.mark.long
 def test_the_wall_is_that_of_short_windows(cup: jaxform.Scene, cup_result: jaxform.Result) -> None:
     short = jaxform.run(with_windows_of(SHORT_WINDOW, cup))
     assert jaxform.explain(cup_result) == jaxform.explain(short) == "ok"

@@ -206,6 +206,7 @@ def test_what_is_the_same_law_gives_the_same_part(one: jaxform.Law, other: jaxfo
     np.testing.assert_allclose(results[1].energy.strain, results[0].energy.strain, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_a_sphere_of_rubber() -> None:
     """In equilibrium P r0/h0 = 2 sum of mu (l^(alpha - 3) - l^(-2 alpha - 3)); no window is retried."""
     mu, alpha, stretch = np.array(MU), np.array(ALPHA), 1.1

@@ -113,7 +113,7 @@ def _maxwell_sphere(pressure: float, times: list[float]) -> np.ndarray:
     return found.y[0]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", scenes.short_first(KINDS))
 def test_a_sphere_under_a_step_of_pressure(kind: Any) -> None:
     """Its swing and its creep, and the balance of energy."""
     times = [0.5, 1.0, 2.0]
@@ -185,7 +185,7 @@ def _sphere_of_the_slow_mode(kind: Any) -> jaxform.Result:
     return jaxform.run(_stepped_sphere(kind, (1e-9, 0.5), 1e-15))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", scenes.short_first(KINDS))
 @pytest.mark.parametrize("time", [1e-15, 1e-18, 1e-30])
 def test_a_sheet_with_modes_far_below_the_step_balances(kind: Any, time: float) -> None:
     """From 1e-17 s on a run was unstable, at 0 s; such a mode carries no stress."""
@@ -194,6 +194,7 @@ def test_a_sheet_with_modes_far_below_the_step_balances(kind: Any, time: float) 
     np.testing.assert_allclose(result.positions, _sphere_of_the_slow_mode(kind).positions, atol=2e-3)
 
 
+@pytest.mark.long
 def test_a_master_curve_from_the_glass_transition_on_runs() -> None:
     """Modes of 1e-8 to 1e6 s at 100 degC, in a sheet of 160 degC: 4e-18 s and up."""
     law = _law(jaxform.Maxwell, modulus=(0.5, 0.5, 0.5), time=(1e-8, 1.0, 1e6))
@@ -209,6 +210,7 @@ def test_a_master_curve_from_the_glass_transition_on_runs() -> None:
     assert int(result.status) == 0 and float(result.energy.balance_error) < 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("time", "wall"),
     [
@@ -246,7 +248,7 @@ def _cup(kind: Any) -> jaxform.Scene:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", scenes.short_first(KINDS))
 def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
     """Under one strain of the whole sheet a part has the stress that it would have had from the first."""
     scene = scenes.refinable(jaxform.shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 64)
@@ -272,7 +274,7 @@ def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
     np.testing.assert_allclose(found[:, :used], measure(last)[:, :used], rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", scenes.short_first(KINDS))
 def test_in_blocks_and_at_once_a_step_remembers_the_same(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """As on the CPU, as on other devices, and as the differentiable way has it."""
     scene = _cup(kind)
@@ -306,7 +308,7 @@ def test_in_blocks_and_at_once_a_step_remembers_the_same(kind: Any, monkeypatch:
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", scenes.short_first(KINDS))
 def test_the_bound_on_the_step_holds_for_any_history(kind: Any) -> None:
     """The largest eigenvalue of how the modes' forces answer at once, from their potential by automatic derivatives."""
     random = np.random.default_rng(0)

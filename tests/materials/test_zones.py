@@ -56,6 +56,7 @@ def test_a_cup_of_a_sheet_that_is_stiffer_outside() -> None:
     assert np.sqrt(np.mean(np.square(off))) < 8e-3
 
 
+@pytest.mark.long
 def test_only_the_product_of_stiffness_and_thickness_counts_in_a_slow_process() -> None:
     # The density is a number for each node too, as in the next test, whose programs it then has.
     stiff = jaxform.replace(_stiffening_law(scenes.cup()), {"material.density": np.ones(len(_radius(scenes.cup())))})

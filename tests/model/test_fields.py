@@ -60,6 +60,7 @@ def test_a_field_follows_each_node_through_contact(cup: jaxform.Scene, cup_resul
     np.testing.assert_allclose(cup_result.fields["temperature"], expected, rtol=0, atol=150.0 * MOLD * 2 * length)
 
 
+@pytest.mark.long
 def test_a_field_that_nothing_reads_changes_nothing(cup_result: jaxform.Result) -> None:
     plain = scenes.cup()
     without_skips = dataclasses.replace(plain, solver=dataclasses.replace(plain.solver, skip_stuck=False))
@@ -148,6 +149,7 @@ class Short(jaxform.Field):
         return jnp.ones(3)
 
 
+@pytest.mark.long
 def test_a_field_that_rests_lets_what_sticks_be_skipped() -> None:
     plain = scenes.cup()
     scene = dataclasses.replace(plain, fields={"highest": Height(real(-1.0))})

@@ -102,6 +102,7 @@ def test_objectives_are_what_they_say() -> None:
     np.testing.assert_allclose(np.square(deviations).sum(), 2 * spread + 3 * hit, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_forming_time_is_near_the_last_contact_and_has_a_gradient() -> None:
     """The pressure's factor: twice the pressure forms sooner, and the derivative says by how much."""
     scene, result = scenes.cup(), _form()
@@ -155,6 +156,7 @@ def test_the_fixed_point_levels_a_wall_without_gradients() -> None:
     assert design.history[-1]["thickness_rms_error"] < 0.1 * design.history[0]["thickness_rms_error"]
 
 
+@pytest.mark.long
 def test_the_least_mass_keeps_its_minimum_and_names_its_price() -> None:
     """The multiplier is the derivative of the least mass by the minimum: mass and wall scale with the sheet."""
     scene = scenes.cup()

@@ -111,15 +111,25 @@ COOLED += ["parison.temperature", "parison.thickness"]
 MODES = ["material.viscous.modulus", "material.viscous.time"]
 GAS = ["pressure.inflow_temperature", "pressure.capacity", "pressure.dead_volume", "pressure.inflow"]
 YEOH = ["material.c1", "material.c2", "material.c3", "material.density"]
-PLUG = ["mold.motion.displacement", "mold.motion.time", "mold.contact.friction"]
+PLUGGED = ["mold.motion.displacement", "mold.motion.time", "mold.contact.friction", "solver.gravity"]
+PLUGGED += ["parison.thickness", "material.c", "material.density", *MODES]
 MAKE: dict[str, tuple[Callable[[], jaxform.Scene], list[str]]] = {
     "plain": (_cup, [*PLAIN, "material.c", "material.alpha", "material.density"]),
     "refined": (_refinement_scene, [*PLAIN[:3], "material.mu", "material.alpha", "material.density"]),
     "cooled": (_cooling_scene, [*COOLED, *MODES]),
-    "plugged": (_plug_scene, [*PLUG, "solver.gravity", "parison.thickness", "material.c", "material.density", *MODES]),
+    "plugged": (_plug_scene, PLUGGED),
+    "plugged in room": (_plug_scene, PLUGGED),
     "wrinkled": (_balloon_scene, ["material.c", "parison.thickness", "pressure.value"]),
     "added": (_extension_scene, [*GAS, *YEOH, "fields.temperature.initial", "fields.temperature.mold_rate", PLAIN[0]]),
 }
+
+
+AS_THEY_ARE = "cooled", "plugged"
+"""Without room: in room two dozen runs with refinement and cooling, or of a sheet that slides, take minutes."""
+
+LONG = [pytest.mark.long]
+LONGER = "refined", "plugged in room"
+"""Others are refined, or slide on a plug, too."""
 
 
 # Those that carry a derivative.
@@ -153,6 +163,7 @@ _both = jax.jit(jax.value_and_grad(_figure, has_aux=True))
 class Case(NamedTuple):
     """A scene with its run, and the same in room or as it is, with what may be changed of it."""
 
+    name: str
     scene: jaxform.Scene
     ran: jaxform.Result
     room: padding.PaddedScene
@@ -160,10 +171,7 @@ class Case(NamedTuple):
 
     def simulate(self, *, replayed: bool = True) -> tuple[tuple[jax.Array, jaxform.Result], dict[str, jax.Array]]:
         """Figure and part of the scene in room, and the slopes; a schedule without windows decides nothing."""
-        schedule = self.schedule
-        if not replayed:
-            schedule = dataclasses.replace(schedule, counts=jnp.zeros_like(schedule.counts))
-        return _both(self.numbers, self.room.scene, schedule)
+        return _simulate(self.name, replayed)
 
     @property
     def schedule(self) -> jaxform.Schedule:
@@ -176,12 +184,24 @@ class Case(NamedTuple):
 def _case(name: str) -> Case:
     make, names = MAKE[name]
     scene = make()
-    # In room two dozen runs with refinement and cooling take minutes.
-    room = padding.PaddedScene(scene, scene, None) if name == "cooled" else padding.pad_to_bucket(scene)
-    return Case(scene, jaxform.run(scene), room, {path: number_at(room.scene, path) for path in names})
+    room = padding.PaddedScene(scene, scene, None) if name in AS_THEY_ARE else padding.pad_to_bucket(scene)
+    return Case(name, scene, jaxform.run(scene), room, {path: number_at(room.scene, path) for path in names})
 
 
-@pytest.fixture(params=list(MAKE))
+@functools.cache
+def _simulate(name: str, replayed: bool) -> Any:
+    case = _case(name)
+    counts = case.schedule.counts
+    schedule = dataclasses.replace(case.schedule, counts=counts if replayed else jnp.zeros_like(counts))
+    return _both(case.numbers, case.room.scene, schedule)
+
+
+def _names(*others: str) -> list[Any]:
+    """The scenes but for others."""
+    return [pytest.param(name, marks=LONG if name in LONGER else []) for name in MAKE if name not in others]
+
+
+@pytest.fixture(params=_names())
 def case(request: pytest.FixtureRequest) -> Case:
     return _case(request.param)
 
@@ -229,7 +249,7 @@ def test_a_replay_is_the_run(case: Case) -> None:
     _assert_same_part(case.room.result(result), case.ran)
 
 
-@pytest.mark.parametrize("case", [name for name in MAKE if name not in ("refined", "cooled")], indirect=True)
+@pytest.mark.parametrize("case", _names("refined", "cooled"), indirect=True)
 def test_a_simulation_is_the_run(case: Case) -> None:
     """The same for refined meshes is in tests/adapt/test_refinement.py."""
     (_, result), _ = case.simulate(replayed=False)
@@ -246,7 +266,7 @@ def test_gradients_equal_central_differences_by_every_number(case: Case) -> None
     scenes.assert_slopes(objective, case.numbers)
 
 
-@pytest.mark.parametrize("case", [name for name in MAKE if name != "cooled"], indirect=True)
+@pytest.mark.parametrize("case", _names(*AS_THEY_ARE), indirect=True)
 def test_beyond_the_scene_itself_there_is_no_slope(case: Case) -> None:
     order, (_, slopes) = case.room.order, case.simulate()
     assert order is not None
@@ -260,6 +280,7 @@ def test_beyond_the_scene_itself_there_is_no_slope(case: Case) -> None:
         assert np.all(np.asarray(slopes["pressure.value"])[pressure.value.size :] == 0.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", ["plain"], indirect=True)
 def test_the_same_without_room(case: Case) -> None:
     """The same for refined meshes is in tests/adapt/test_refinement.py."""

@@ -36,6 +36,7 @@ def test_compiled_code_computes_what_eager_code_does() -> None:
     np.testing.assert_allclose(jax.jit(jax.vmap(energy))(rows), expected, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_run_and_simulate_give_the_same_numbers() -> None:
     scene = scenes.cup()
     seen: list[float] = []
