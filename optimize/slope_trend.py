@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+import jaxform
 from optimize.designs import Point, Study
 from optimize.search import Search
 from optimize.termination import SpentError
@@ -19,6 +20,7 @@ _PARTED, _NEGLIGIBLE = 0.1, 0.01  # of the larger of slope and secant, and of th
 _NOTICED = 1e-3  # of the objective at first: what slope and secant differ by over the step, to be worth a warning
 _RUNS, _GRADIENT_COST = 4, 4  # simulations for both comparisons, and those that an iteration takes the time of
 _MOST_SHARE = 0.05  # of the simulations that a search may take
+_SAFE = 0.45  # share of the stable step with which slopes of a fast preform were those of secants (gradients.md)
 _PLACES = {"start": "first", "end": "best"}
 
 Found = dict[str, float]
@@ -57,11 +59,24 @@ def _compare(search: Search, place: str, point: Point, warn: Callable[[str], obj
     search.secants[place] = found
     first = search.history[0]["objective"] if search.history else point.value
     if parts_from_secant(found, abs(search.secants["start"]["slope"]), abs(first)):
+        landing = _advise_landing(search.study.scene)
         warn(
             f"at the {_PLACES[place]} design the slope of the objective is not its trend: {found['slope']:.3g} along "
             f"the gradient, {found['secant']:.3g} over a change of the variables by 1 % of their bounds; compare "
-            "designs by their objective, or search with solver.hops or solver.starts"
+            f"designs by their objective, or search with solver.hops or solver.starts{landing}"
         )
+
+
+def _advise_landing(scene: jaxform.Scene) -> str:
+    """Words on nodes that land smoothly in shorter steps, where a scene may have that; none elsewhere."""
+    solver = scene.solver
+    if not scene.surfaces or scene.moves or scene.slides or solver.edge_contact:
+        return ""
+    if solver.smooth_landing and solver.safety <= _SAFE:
+        return ""
+    return (
+        f"; slopes are nearer to the trend where the scene has solver.smooth_landing = true and solver.safety = {_SAFE}"
+    )
 
 
 def slope_and_secant(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,14 @@ def test_a_ripple_is_told_from_the_secant_and_a_smooth_value_is_not() -> None:
         np.testing.assert_allclose(found["secant"], 2.0 * point.free @ point.gradient / norm, atol=2e-3)
         assert len(told) == (ripple > 0.0) and search.simulations == 3.0
     assert "first design" in told[0] and f"{norm:.3g}" in told[0] and "1 % of their bounds" in told[0]
+    assert "solver.smooth_landing = true and solver.safety = 0.45" in told[0]
+
+
+def test_smooth_landing_is_advised_only_where_a_scene_may_have_it() -> None:
+    scene = scenes.cup()
+    for name, value in (("edge_contact", True), ("smooth_landing", True)):
+        solver = dataclasses.replace(scene.solver, **{name: value}, safety=0.45)
+        assert not slope_trend._advise_landing(dataclasses.replace(scene, solver=solver))
 
 
 def test_the_end_is_held_against_the_first_slope() -> None:
