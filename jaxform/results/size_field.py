@@ -9,7 +9,8 @@ that land there one after the other resolve the wall too. At a corner g has no l
 mesh on which it is found; but the smallest elements set the step of all. So sizes have a limit, relative to their mean.
 
 An element has no kink. Where the sheet bends over a sharp edge of a tool, the line of the initial sheet that has come
-to lie there should be one of nodes.
+to lie there should be one of nodes. Elements across an edge do not show where that line is, for they are stretched
+alike on both sides of it: the elements beside them that lie on the tool do.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from jaxform.mesh import topology
 from jaxform.mesh.volumes import longest_sides
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
-from jaxform.tools.distances import Distances, interpolate, weights
+from jaxform.tools.distances import Distances, interpolate, signed_weights, weights
 from jaxform.tools.mold import Mold
 
 Array = NDArray[np.float64]
@@ -35,6 +36,7 @@ _REACH = 0.5  # of an element's longest side, from an edge, over which the eleme
 _STEP = 0.25  # of a formed element's side, between points of an edge that are looked up
 _MOST_POINTS = 20_000  # of edges of a tool
 _JUMP = 2.0  # of an initial element's side, between such points on the sheet: more is no line
+_LEVEL = 0.1  # of an element's longest side, how far an edge may be from its plane for it to lie on a face at the edge
 _CONE = 1e-3  # sine by which a place is between two faces, at least
 _SMALLEST = 0.3  # of the size that as many equal elements would have, the least
 _LIMITINGS = 8  # until the size of equal elements, which grows with the smallest, hardly changes
@@ -77,11 +79,11 @@ def _mean_at_nodes(values: Array, triangles: Any, area: Array, count: int) -> Ar
 
 def edge_lines(scene: Scene, result: Result) -> list[Array]:
     """Lines (k, 3) [m] on the initial sheet that have come to lie on sharp convex edges of tools to which it sticks."""
-    molds = [surface.mold for surface in scene.surfaces if surface.mold.contact.sticks]
-    return [line for mold in molds for line in _lines_at_edges(mold, scene, result)]
+    molds = [(number, surface.mold) for number, surface in enumerate(scene.surfaces) if surface.mold.contact.sticks]
+    return [line for number, mold in molds for line in _lines_at_edges(mold, number, scene, result)]
 
 
-def _lines_at_edges(mold: Mold, scene: Scene, result: Result) -> list[Array]:
+def _lines_at_edges(mold: Mold, number: int, scene: Scene, result: Result) -> list[Array]:
     """The lines that lie on edges of one tool, in whose frame edges and sheet are compared."""
     vertices = np.asarray(mold.vertices, float)
     edges = topology.sharp_edges(vertices, np.asarray(mold.triangles))
@@ -94,12 +96,40 @@ def _lines_at_edges(mold: Mold, scene: Scene, result: Result) -> list[Array]:
     found = Distances(formed, triangles, _REACH * float(sides.max())).nearest(places)
     weight = weights(found.place, formed[triangles[found.triangle]])
     on_sheet = interpolate(start, triangles, found.triangle, weight)
+    touches = (np.asarray(result.stuck) & (np.asarray(result.tool) == number))[triangles]
+    beside = touches.any(1) & ~touches.all(1)
+    crossed = np.flatnonzero(beside[found.triangle])
+    known, continued = _continue_held(places[crossed], triangles[touches.all(1)], formed, start)
+    on_sheet[crossed[known]] = continued[known]
     near = (found.distance <= _REACH * sides[found.triangle]) & _is_convex(vertices, edges[:, edge], on_sheet)
     jump = np.linalg.norm(np.diff(on_sheet, axis=0), axis=1)
     breaks = ~near[1:] | ~near[:-1] | (path[1:] != path[:-1])
     breaks |= jump > _JUMP * longest_sides(start[triangles])[found.triangle[1:]]
     runs = np.split(np.arange(len(places)), np.flatnonzero(breaks) + 1)
     return [on_sheet[run] for run in runs if len(run) > 1]
+
+
+def _continue_held(places: Array, held: Any, formed: Array, start: Array) -> tuple[Any, Array]:
+    """Places (n, 3) [m] on the initial sheet, by the map of the nearest held element to it, continued beyond that.
+
+    Args:
+        places: Points (n, 3) [m] of edges of a tool.
+        held: Elements (m, 3) that lie on the tool.
+        formed: The formed nodes (n_node, 3) [m].
+        start: The initial ones.
+
+    Returns:
+        Mask of the points (n,) that are near a held element and in its plane; the places (n, 3).
+    """
+    if not (len(places) and len(held)):
+        return np.zeros(len(places), bool), np.zeros((len(places), 3))
+    sides = longest_sides(formed[held])
+    found = Distances(formed, held, float(sides.max())).nearest(places)
+    corners = formed[held[found.triangle]]
+    weight = signed_weights(places, corners)
+    away = np.linalg.norm(np.einsum("nk,nki->ni", weight, corners) - places, axis=1)
+    side = sides[found.triangle]
+    return (found.distance <= side) & (away <= _LEVEL * side), interpolate(start, held, found.triangle, weight)
 
 
 def _points_on_paths(vertices: Array, edges: NDArray[np.integer], step: float) -> tuple[Array, Any, Any]:

@@ -12,6 +12,7 @@ import pytest
 import jaxform
 from jaxform import molds, shapes
 from jaxform.core.pytree import as_real
+from jaxform.results.size_field import edge_lines
 from jaxform.results.summary import (
     _warnings_of_depth,
     _warnings_of_penetration,
@@ -48,12 +49,17 @@ def _scene(*tools: jaxform.Mold, elements: int = 150) -> jaxform.Scene:
     )
 
 
-def test_a_flat_plug_to_which_the_sheet_sticks() -> None:
-    """The plug does not stretch what it lifts, from the moment at which it comes to the sheet."""
+@pytest.fixture(scope="module")
+def pushed_flat() -> tuple[jaxform.Scene, jaxform.Result]:
+    """A disc without a ring of nodes at the edge of the flat plug that pushes it, and a plate far from it."""
     plug = _tool(molds.revolved(profile=[[0.0, 0.0], [0.45, 0.0], [0.45, -1.5]], segments=96), "plug", None, _WAY, _GAP)
-    far = _tool(molds.plate(radius=0.5), "far", None, 0.0, 3.0)
-    scene = _scene(plug, far)
-    result = jaxform.run(scene)
+    scene = _scene(plug, _tool(molds.plate(radius=0.5), "far", None, 0.0, 3.0))
+    return scene, jaxform.run(scene)
+
+
+def test_a_flat_plug_to_which_the_sheet_sticks(pushed_flat: tuple[jaxform.Scene, jaxform.Result]) -> None:
+    """The plug does not stretch what it lifts, from the moment at which it comes to the sheet."""
+    scene, result = pushed_flat
     pushed, rests = summarize(result, scene)["tools"]
     assert (pushed["name"], rests["name"]) == ("plug", "far")
     met = _END * next(root.real for root in np.roots([-2.0, 3.0, 0.0, -_GAP / _WAY]) if 0.0 < root.real < 1.0)
@@ -72,6 +78,16 @@ def test_a_flat_plug_to_which_the_sheet_sticks() -> None:
     empty = ("contact_period", "contact_time", "thickness", "penetration_place")
     assert [rests[key] for key in empty] == [None] * 4
     assert [rests[key] for key in ("contact_fraction", "work", "friction_loss", "penetration_max")] == [0.0] * 4
+
+
+def test_the_line_of_the_sheet_at_the_edge_of_a_plug_is_found_by_what_lies_on_it(
+    pushed_flat: tuple[jaxform.Scene, jaxform.Result],
+) -> None:
+    """Elements across the edge are stretched alike on both sides of it: what is nearest to it in them is too far in."""
+    lines = edge_lines(*pushed_flat)
+    radius = np.concatenate([np.linalg.norm(line, axis=1) for line in lines])
+    # The middles of the plug's 96 sides are nearest to its axis.
+    assert len(radius) > 20 and 0.45 * np.cos(np.pi / 96) - 1e-9 < radius.min() and radius.max() < 0.45 + 1e-9
 
 
 def _depth_in_ball(corners: np.ndarray, center: np.ndarray, radius: float) -> float:
