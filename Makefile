@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test test-all lint lock clean environment flanges cad strangers fuzz killed docs quick waiting planted sweeps
+.PHONY: style validate stability bench beside contact refine design scenes paper notebooks pictures demo test test-all lint lock clean environment flanges cad strangers fuzz killed docs quick waiting planted sweeps
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -9,6 +9,15 @@ export PYTHONDONTWRITEBYTECODE :=
 # Whole files go to two processes, in the order of tests/conftest.py.
 PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 
+# The variable keeps pyright from asking the network whether there is a newer one.
+TYPES := PYRIGHT_PYTHON_IGNORE_WARNINGS=1 .venv/bin/pyright
+
+# A command, and the check of types beside it, which waits for no program to compile; both have to pass.
+define beside_types
+@$(TYPES) >.venv/types.txt 2>&1 & types=$$!; $(1); tests=$$?; wait $$types; types=$$?; \
+cat .venv/types.txt; exit $$((tests + types > 0))
+endef
+
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
 	.venv/bin/jaxform optimize dish-uniform-wall --out out/demo --force
@@ -16,12 +25,13 @@ demo: environment
 	@echo "Look in out/demo: design.png, thickness.png and convergence.png (pictures), summary.json, history.csv,"
 	@echo "final.vtu (for ParaView), best.toml (run it again with: .venv/bin/jaxform simulate out/demo/best.toml --out out/best)"
 
-test: lint
-	.venv/bin/python -m pytest -m "not long" $(PARALLEL)
+# Of each property the cheapest test that holds it. Types are checked meanwhile: their findings are printed in the end.
+test: style
+	$(call beside_types,.venv/bin/python -m pytest -m "not long" $(PARALLEL))
 
 # Every test; those marked `long` hold by more or larger scenes what a shorter one holds, or what a user waits for as long.
-test-all: lint
-	.venv/bin/python -m pytest $(PARALLEL)
+test-all: style
+	$(call beside_types,.venv/bin/python -m pytest $(PARALLEL))
 
 # The site, in out/docs; a warning is an error. No network is used.
 docs: environment
@@ -32,11 +42,12 @@ docs: environment
 quick: environment
 	.venv/bin/python -m pytest -m quick -n 2 --dist loadfile -q
 
-# The variable keeps pyright from asking the network whether there is a newer one.
-lint: environment
+style: environment
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
-	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 .venv/bin/pyright --threads 2
+
+lint: style
+	$(TYPES) --threads 2
 
 lock:
 	@tools/environment.sh lock

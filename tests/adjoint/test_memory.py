@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxform
+from tests import scenes
 
 
 def kept_by_loops(jaxpr: Any, length: int) -> int:
@@ -24,7 +25,7 @@ def kept_by_loops(jaxpr: Any, length: int) -> int:
 
 @pytest.mark.parametrize(
     ("adjoint", "least", "most"),
-    [(jaxform.Reversed(), 10, 50), (jaxform.Checkpointed(), 6, 15)],
+    scenes.short_first([(jaxform.Reversed(), 10, 50), (jaxform.Checkpointed(), 6, 15)]),
     ids=["reversed", "checkpointed"],
 )
 def test_the_scene_is_kept_once_for_all_windows(adjoint: Any, least: int, most: int) -> None:

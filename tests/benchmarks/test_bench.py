@@ -11,6 +11,7 @@ from benchmarks.accuracy import refinement
 from benchmarks.speed import bench, formulations, peers, pictures, sheets
 
 
+@pytest.mark.long
 def test_every_formulation_and_peer_steps_alike() -> None:
     sheet = sheets.sheet(200)
     expected = peers.with_numpy(sheet)(20)
@@ -47,6 +48,7 @@ def test_the_tables_fill_and_the_pictures_are_drawn(tmp_path: Path, monkeypatch:
     assert {file.name for file in tmp_path.iterdir()} == {"bare.png", "gradients.png", "memory.png", "skips.png"}
 
 
+@pytest.mark.long
 def test_the_share_of_moving_elements_is_counted() -> None:
     from tests import scenes
 

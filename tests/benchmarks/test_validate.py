@@ -63,6 +63,7 @@ def test_a_fast_process_is_warned_of_and_a_slow_one_is_not() -> None:
     assert warnings_of(fast, scenes.cup(end_time=50.0)) == []
 
 
+@pytest.mark.long
 def test_the_quasi_static_error_is_the_same_in_both_loops() -> None:
     scene = scenes.cup()
     pure, run = jaxform.simulate(scene), jaxform.run(scene)

@@ -240,7 +240,7 @@ def test_a_mold_from_an_stl_file_in_mm_with_its_triangles_turned_makes_the_same_
     np.testing.assert_allclose(other.thickness, one.thickness, rtol=1e-4)
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("dtype", scenes.short_first(["float64", "float32"]))
 def test_both_precisions_run_the_dish(tmp_path: Path, capfd: pytest.CaptureFixture[str], dtype: str) -> None:
     try:
         assert command.main(["simulate", "dish-coarse", "--out", str(tmp_path), "--dtype", dtype, "--quiet"]) == 0
@@ -361,7 +361,7 @@ def test_an_interrupted_search_says_how_to_go_on_and_does(
     assert "reused from the journal" in told and "--resume" not in told
 
 
-@pytest.mark.parametrize("method", ["lbfgs", "adam"])
+@pytest.mark.parametrize("method", scenes.short_first(["lbfgs", "adam"]))
 def test_optimize_writes_a_better_scene_that_runs(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], method: str
 ) -> None:

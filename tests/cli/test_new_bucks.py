@@ -17,6 +17,7 @@ from jaxform.io.scene_choices import VACUUM
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.results.summary import summarize
+from tests import scenes
 from tests.tools.test_bucks import BUCKS, dome, drafted_block
 
 
@@ -66,7 +67,7 @@ def test_bucks_get_a_frame_a_platen_and_a_way(tmp_path, capfd, name):
     assert walls[:, :2].min() <= sheet[:, :2].min() and walls[:, :2].max() >= sheet[:, :2].max()
 
 
-@pytest.mark.parametrize(("name", "elements"), [("drafted", 700), ("dome", 500)])
+@pytest.mark.parametrize(("name", "elements"), scenes.short_first([("drafted", 700), ("dome", 500)]))
 def test_the_draped_sheet_lies_on_the_buck_down_to_the_platen(tmp_path, name, elements):
     mold = write(tmp_path / "part.stl", BUCKS[name])
     assert command.main(["new", str(tmp_path / "scene"), "--mold", str(mold), "--quiet"]) == 0
@@ -176,6 +177,7 @@ def test_units(box, name, others):
     assert found == name and all(f"--scale {other}" in told + " " for other in others)
 
 
+@pytest.mark.long
 def test_the_docs_example_of_a_motion_drapes(tmp_path):
     """With the keys of the page the sheet lies on a block 50 mm high on a platen, both on z = 0 of their files."""
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "mold.md").read_text()

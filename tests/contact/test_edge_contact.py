@@ -195,6 +195,7 @@ def test_gradients_through_edge_contact(build: Callable[[int], jaxform.Scene]) -
     np.testing.assert_allclose(slope, difference, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_a_mesh_adapted_to_the_ridge_has_a_node_there_and_the_exact_wall_in_every_element() -> None:
     pytest.importorskip("mmgpy")
     from jaxform.adapt import mesher

@@ -84,6 +84,7 @@ def test_two_halves_close_on_a_whole_tube_as_one_on_its_half() -> None:
     assert set(np.asarray(result.tool).tolist()) <= {-1, 0, 1}
 
 
+@pytest.mark.long
 def test_nodes_in_the_symmetry_plane_stay_there_and_others_weld_to_it() -> None:
     # Without a land the tube is thrown at the plane by a pressure from outside.
     scene = jaxform.replace(_half(), {"pressure.value": jnp.array([0.0, -4e4, -4e4])})

@@ -60,6 +60,7 @@ def _smooth(scene: Scene) -> Scene:
     return dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, smooth_landing=True))
 
 
+@pytest.mark.long
 def test_slopes_are_exact_and_hardly_depend_on_where_in_a_step_nodes_land() -> None:
     """A process that begins later forms the same part: the slope by its time is that by the phase of the steps alone.
 

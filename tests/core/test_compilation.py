@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import jaxform
+from tests import scenes
 
 _SCRIPT = """
 import sys
@@ -39,7 +40,7 @@ def _run(*arguments: str, **environment: str) -> tuple[str, list[str]]:
     return value, said.split()
 
 
-@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("named", scenes.short_first([False, True]))
 def test_programs_of_a_script_are_found_by_the_next_process(tmp_path: Path, named: bool) -> None:
     folder = tmp_path / "own" if named else tmp_path / "jaxform" / "compiled"
     arguments = [str(folder)] if named else []

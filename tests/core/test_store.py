@@ -203,6 +203,7 @@ def test_what_another_version_wrote_is_not_read() -> None:
     assert store.deserialize_program(zlib.compress(pickle.dumps("a program of tomorrow"))) is None
 
 
+@pytest.mark.long
 def test_programs_go_before_they_are_too_many_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compilation, "_CROWDED", 1.0)  # whatever other tests have compiled in this process
     kept, scene = Store(), cup(60, 2.0)

@@ -13,6 +13,7 @@ import pytest
 
 import jaxform
 from jaxform import molds, shapes
+from tests import scenes
 
 
 def _disc(stretch: float, elements: int = 40) -> jaxform.Parison:
@@ -46,7 +47,7 @@ def test_a_pre_stretched_sheet_that_is_let_go_has_its_unstretched_size_again() -
     assert not np.asarray(formed.clamped).any()
 
 
-@pytest.mark.parametrize(("stretch", "damping"), [(1.02, 30.0), (1.2, 300.0), (1.2, None)])
+@pytest.mark.parametrize(("stretch", "damping"), scenes.short_first([(1.02, 30.0), (1.2, 300.0), (1.2, None)]))
 def test_the_energy_that_is_set_free_at_once_is_accounted_for(stretch: float, damping: float | None) -> None:
     result = jaxform.run(_scene(_disc(stretch), damping, 0.06))
     assert int(result.status) == 0 and float(result.energy.balance_error) < 5e-3
@@ -66,6 +67,7 @@ def _bar(count: int, stretch: float, until: float) -> jaxform.Parison:
     )
 
 
+@pytest.mark.long
 def test_a_strip_that_is_let_go_oscillates_as_a_bar() -> None:
     # Across it nothing moves: the tangent of c (x^2 + 1 / x^2 - 2) at x = 1 is 8 c.
     speed, until, strain = np.sqrt(8.0 * 2e5 / 1000.0), 0.01, 1e-4

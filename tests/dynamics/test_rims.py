@@ -13,6 +13,7 @@ import jaxform
 from jaxform import molds, shapes
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
+from tests import scenes
 from tests.scenes import real
 
 RUBBER = jaxform.NeoHookean(real(1.0), real(1.0))
@@ -77,7 +78,7 @@ def test_a_strip_with_free_edges_balances_and_where_the_origin_is_does_not_matte
     np.testing.assert_allclose(far.energy.external_work, near.energy.external_work, rtol=1e-6)
 
 
-@pytest.mark.parametrize("ends", ["between planes", "free"])
+@pytest.mark.parametrize("ends", scenes.short_first(["between planes", "free"]))
 def test_a_tube_with_open_ends_does_the_work_of_the_exact_solution(ends: str) -> None:
     """A ring of free length or not: P = 2 c h0 (...) / r0, whose work is the strain energy of the exact stretch."""
     pressure = 0.8
@@ -96,6 +97,7 @@ def test_a_tube_with_open_ends_does_the_work_of_the_exact_solution(ends: str) ->
     np.testing.assert_allclose(work, energy, rtol=2e-2)
 
 
+@pytest.mark.long
 def test_a_refined_sheet_with_a_free_edge_balances() -> None:
     refinement = jaxform.make_refinement(angle=2.0, interval=64, max_level=2, elements=200)
     result = jaxform.run(strip(refinement=refinement))

@@ -34,7 +34,7 @@ def _energy_gain(result: jaxform.Result) -> float:
     return float((energy.strain + energy.kinetic + energy.damping_loss - energy.work) / energy.peak_work)
 
 
-@pytest.mark.parametrize("end", [50.0, 500.0])
+@pytest.mark.parametrize("end", scenes.short_first([50.0, 500.0]))
 def test_a_nonlinear_disc_keeps_its_energy(end: float) -> None:
     result = jaxform.run(_ringing_disc(0.01, end))
     assert jaxform.explain(result) == "ok"
@@ -42,6 +42,7 @@ def test_a_nonlinear_disc_keeps_its_energy(end: float) -> None:
     assert abs(_energy_gain(result)) < 2e-3
 
 
+@pytest.mark.long
 def test_a_disc_that_is_hardly_damped_gains_no_energy() -> None:
     result = jaxform.run(_ringing_disc(0.01, 200.0, damping=1e-3))
     assert jaxform.explain(result) == "ok"
@@ -57,6 +58,7 @@ def test_the_step_of_a_free_sheet_only_falls() -> None:
     assert lengths[-1] > 0.9 * lengths[-3]
 
 
+@pytest.mark.long
 def test_a_scaled_copy_takes_the_same_steps() -> None:
     """Scaled by four, lengths and times are the same numbers to the last bit but for their exponent."""
     one, four = (jaxform.run(_ringing_disc(0.02, 30.0, size=size)) for size in (1.0, 4.0))
@@ -92,6 +94,7 @@ def test_weak_damping_shortens_the_step_and_strong_damping_does_not() -> None:
     assert share(0.25) == share(10.0) == 1.0
 
 
+@pytest.mark.long
 def test_a_gas_that_fills_an_undamped_disc_keeps_the_balance_that_is_judged() -> None:
     """The fast modes that the gas excites have exactly the energy that it gave them, but most of the little work."""
     shape = _ringing_disc(0.01, 1.0)

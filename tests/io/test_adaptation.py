@@ -161,6 +161,7 @@ def test_a_run_that_stops_has_no_mesh(tmp_path: Path) -> None:
         files.build(files.read_scene(path))
 
 
+@pytest.mark.long
 def test_the_adapted_mesh_differentiates(tmp_path: Path) -> None:
     scene = files.build(files.read_scene(_write(tmp_path, "adapt = { elements = 150, passes = 1 }", elements=60)))
 

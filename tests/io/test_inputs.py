@@ -227,6 +227,7 @@ def _unevenness(result: jaxform.Result) -> jax.Array:
     return jnp.sum(area * (result.element_thickness / mean - 1.0) ** 2) / jnp.sum(area)
 
 
+@pytest.mark.long
 def test_a_line_search_backs_off_from_a_design_out_of_range() -> None:
     """The sheet at rest is as even as can be: for a search that counts it, no design would be better."""
     scene = _small()
@@ -249,6 +250,7 @@ def test_a_line_search_backs_off_from_a_design_out_of_range() -> None:
     assert np.isfinite(float(value(good + np.asarray(step)))) and np.isfinite(float(value_there))
 
 
+@pytest.mark.long
 def test_of_a_batch_only_the_design_out_of_range_has_no_wall_and_gradients_raise_nothing() -> None:
     scene, stiffness = _small(), number_at(_small(), "material.c")
     factors = jnp.asarray([1.0, -1.0, 1.1])

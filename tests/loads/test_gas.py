@@ -126,6 +126,7 @@ def test_gradient_with_respect_to_the_mass_flow() -> None:
     np.testing.assert_allclose(float(both(flow)[1][0]), difference, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_disc_follows_the_membrane_solution_through_both_turning_points() -> None:
     """A neo-Hookean disc, p_atm a / (c h0) = 50, over a dead volume of a^3: pole stretch, pressure and height."""
     sheet = shapes.disc(radius=1.0, elements=600, symmetry="quarter")

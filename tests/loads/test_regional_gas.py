@@ -107,6 +107,7 @@ def test_gradients_by_numbers_of_each_gas_are_those_of_differences(adjoint: jaxf
     assert_slopes_are_differences(scene, {path: number_at(scene, path) for path in paths}, least=1e-9, adjoint=adjoint)
 
 
+@pytest.mark.long
 def test_pinned_border_may_refine() -> None:
     """New nodes on the border of two regions are held as its own, and new elements belong to their parents' region."""
     refinement = jaxform.make_refinement(angle=4.0, interval=50, max_level=2, elements=400)

@@ -243,22 +243,31 @@ _DEEP = '[mold]\nshape = "revolved"\nprofile = [[0.0, 0.1], [0.1, 0.0]]\nsegment
 _AIR = "heat_capacity = 2000.0\nair = 50.0\nair_temperature = 20.0\n"
 
 
-def test_cooling_in_a_file_and_in_the_part(tmp_path: Path) -> None:
+def _deep_scene(tmp_path: Path) -> files.SceneDocument:
     path = tmp_path / "scene.toml"
     # Over a mold under a ramp as other sheets here, whose programs it then has.
     ramp = FILE.format(cooling=_AIR).replace(
         "value = [0.0, 3.0e3]", 'value = [0.0, 3.0e3]\ninterpolation = "cubic-ramp"'
     )
     path.write_text(ramp + _DEEP)
-    document = files.read_scene(path)
-    scene = files.build(document)
+    return files.read_scene(path)
+
+
+@pytest.mark.long
+def test_the_part_of_a_file_with_cooling_has_its_temperature(tmp_path: Path) -> None:
+    """What a part's file says is tested for each feature in tests/runs/test_features.py."""
+    scene = files.build(_deep_scene(tmp_path))
     with pytest.warns(jaxform.InputWarning, match="nothing touched"):
         result = jaxform.run(scene)
     output.write_part(scene, result, tmp_path / "final.vtu")
     written = meshes.read_mesh(tmp_path / "final.vtu").fields["temperature"]
     np.testing.assert_allclose(written, _warmth(result), rtol=1e-12)
     assert 120.0 < jaxform.summarize(result, scene)["temperature"]["max"] < 139.9
-    variable = optimize.Scale(scene, of="cooling.air", bounds=(0.5, 2.0))
+
+
+def test_a_design_of_cooling_is_written_into_the_scene(tmp_path: Path) -> None:
+    document = _deep_scene(tmp_path)
+    variable = optimize.Scale(files.build(document), of="cooling.air", bounds=(0.5, 2.0))
     scene_rewriting.write_scene(document, variable.document(jnp.asarray(variable.start) + 0.5), tmp_path)
     again, expected = files.load(tmp_path / "best.toml"), variable.changes(jnp.asarray(variable.start) + 0.5)
     assert again.cooling is not None

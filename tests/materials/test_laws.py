@@ -86,6 +86,7 @@ def test_the_stable_step_knows_every_second_derivative(law: jaxform.Law, stretch
     np.testing.assert_allclose(constitutive.tangent_stiffness(strain, law), largest, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_a_law_by_its_energy_is_the_law_in_closed_form() -> None:
     numbers = real(1.0), real(0.01), real(1.0)
     results = [
@@ -97,7 +98,7 @@ def test_a_law_by_its_energy_is_the_law_in_closed_form() -> None:
     np.testing.assert_allclose(ByEnergy(*numbers).stiffness(), 1.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize("law", [YEOH, BOTH])
+@pytest.mark.parametrize("law", scenes.short_first([YEOH, BOTH]))
 def test_a_sphere_of_a_users_law(law: jaxform.Law) -> None:
     """In equilibrium p = 4 (h0/r) (W1 + s^2 W2) (1/s - 1/s^7) at the stretch s; no window is retried."""
     stretch = 1.4

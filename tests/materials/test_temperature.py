@@ -114,7 +114,7 @@ _WLF = 'shift = { kind = "wlf", reference = 100.0, c1 = 17.44, c2 = 51.6 }'
 _STIFF = 'shift = { kind = "arrhenius-stiffness", reference = 140.0, activation_energy = 4.0e4 }'
 
 
-@pytest.mark.parametrize("refined", [False, True])
+@pytest.mark.parametrize("refined", scenes.short_first([False, True]))
 def test_temperature_in_a_file_and_in_the_part(tmp_path: Path, refined: bool) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(

@@ -179,6 +179,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> jaxform.Scene:
     return jaxform.load(file)
 
 
+@pytest.mark.long
 def test_mass_is_kept_and_the_wall_has_the_gradient_of_differences(scene: jaxform.Scene) -> None:
     base = jaxform.run(scene)
     assert int(base.status) == 0 and float(base.energy.balance_error) < 1e-3

@@ -66,6 +66,7 @@ def test_clamped_tube_bulges_as_the_membrane_solution() -> None:
     np.testing.assert_allclose(np.asarray(result.thickness)[middle].mean(), 0.69026670e-2, rtol=3e-3)
 
 
+@pytest.mark.long
 def test_guided_tube_is_a_part_of_a_long_one() -> None:
     result = _inflate(1.7, "guided")
     positions = np.asarray(result.positions)
@@ -82,6 +83,7 @@ def test_free_tube_shortens_as_a_hoop_in_uniaxial_tension() -> None:
     np.testing.assert_allclose(positions[:, 2].mean(), 2.0, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_tube_blown_into_a_cylinder_has_its_wall(tmp_path: Path) -> None:
     file = tmp_path / "tube.toml"
     file.write_text(

@@ -166,6 +166,11 @@ def test_numbers_out_of_range_are_told(cup: jaxform.Scene) -> None:
         jaxform.replace(cup, {"fields.temperature.air_rate": -1.0})
     with pytest.raises(InputError, match=r"no such parameter.*fields\.temperature\.air"):
         jaxform.replace(cup, {"fields.temperature.aire": 1.0})
+
+
+@pytest.mark.long
+def test_a_traced_number_out_of_range_is_a_status(cup: jaxform.Scene) -> None:
+    """The same for a law's number is in tests/materials/test_laws.py."""
     bad = jax.jit(lambda rate: jaxform.simulate(jaxform.replace(cup, {"fields.temperature.air_rate": rate})))(-1.0)
     assert int(bad.status) == Status.INPUT and np.all(np.isfinite(np.asarray(bad.fields["temperature"])))
     assert "air_rate" in jaxform.explain(bad)

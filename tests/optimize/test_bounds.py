@@ -98,8 +98,8 @@ def test_values_on_a_limit_of_neighbours_come_back_and_have_slopes() -> None:
     assert np.all(np.isfinite(changes)) and changes.max(axis=0)[0] > 0.05
 
 
-@pytest.mark.parametrize("edge", BOUNDS)
-@pytest.mark.parametrize("method", ["lbfgs", "least-squares"])
+@pytest.mark.parametrize("edge", scenes.short_first(BOUNDS))
+@pytest.mark.parametrize("method", scenes.short_first(["lbfgs", "least-squares"]))
 def test_a_search_from_a_bound_finds_a_wall_that_is_within_reach(method: str, edge: float) -> None:
     design = optimize.solve(_study(edge, method=method, iterations=15, warm_start=0))
     assert design.history[0]["thickness_rms_error"] > 0.1
@@ -140,6 +140,7 @@ def test_standing_still_on_a_slope_is_not_called_tolerance() -> None:
     assert slope_within(free, gradient, np.full(4, 2.0)).tolist() == [0.0, -1.0, 1.0, 1.0]
 
 
+@pytest.mark.long
 def test_a_search_ends_where_deviations_are_finer_than_a_mesh_can_tell() -> None:
     study, first = _study(0.01), _at_design(1.0, 1.0)
     reached = termination.check_convergence(study, _at_design(0.9e-6, 0.1), [1.0, 0.9e-6], first)
@@ -219,6 +220,7 @@ def test_a_reachable_target_takes_the_fixed_point_alone() -> None:
     assert waits == ["simulating the initial scene"]
 
 
+@pytest.mark.long
 def test_updates_that_do_not_halve_the_value_leave_it_to_the_gradient() -> None:
     waits: list[str] = []
     design = optimize.solve(_study(0.02, iterations=6), on_wait=waits.append)

@@ -88,6 +88,7 @@ def test_what_is_wrong_is_refused_in_words(options: dict[str, Any], words: str) 
         optimize.HeaterZones(_scene(None), grid=(2, 2), distance=0.1, bounds=(1.0, 2.0))
 
 
+@pytest.mark.long
 def test_heaters_even_the_wall(tmp_path: Any) -> None:
     """Cool where the cup is thin, in the middle; and the picture of a study maps the temperature."""
     scene = _scene()

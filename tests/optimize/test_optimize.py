@@ -120,6 +120,7 @@ def test_forming_time_is_near_the_last_contact_and_has_a_gradient() -> None:
     assert search(np.array([0.8])).value < point.value
 
 
+@pytest.mark.long
 def test_the_search_recovers_a_known_profile() -> None:
     rows: list[dict[str, float]] = []
     errors: list[float] = []
@@ -213,7 +214,7 @@ class _Failing(Search):
         return (jnp.asarray(jnp.nan) if failed else value, report), gradient
 
 
-@pytest.mark.parametrize("method", ["lbfgs", "adam"])
+@pytest.mark.parametrize("method", scenes.short_first(["lbfgs", "adam"]))
 def test_a_failed_simulation_is_a_step_to_shorten(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A search whose first step fails ends with a better design all the same."""
     monkeypatch.setattr("optimize.solvers.Search", _Failing)
@@ -234,7 +235,7 @@ def test_an_interrupted_search_keeps_its_best_design() -> None:
     np.testing.assert_allclose(float(design.result.mass), min(design.history, key=lambda r: r["objective"])["mass"])
 
 
-@pytest.mark.parametrize("method", ["lbfgs", "least-squares"])
+@pytest.mark.parametrize("method", scenes.short_first(["lbfgs", "least-squares"]))
 def test_a_killed_search_goes_on_where_it_was(tmp_path: Path, method: str) -> None:
     """Killed in the middle of writing a line, it has the same history in the end, and simulates nothing twice."""
     study, path = study_of_hidden_profile(iterations=3, method=method, digest="this one"), tmp_path / "search.jsonl"

@@ -59,7 +59,7 @@ def cup(j_max: float, end_time: float = 200.0, damping: float = 2.0) -> Scene:
     )
 
 
-@pytest.mark.parametrize("b", [0.1, 0.5])
+@pytest.mark.parametrize("b", scenes.short_first([0.1, 0.5]))
 def test_an_exponential_law_is_planned_for_the_stretch_that_it_will_meet(b: float) -> None:
     """It was refused, for the steps that a stretch of 6 would ask for."""
     scene = balloon(fung(b))
@@ -81,7 +81,7 @@ def test_the_sheet_bears_the_expected_pressure_at_the_expected_stretch() -> None
     assert planning.expected_stretch(parison, scenes.mooney(0.0, 1e5), np.array([4000.0]), None) == 6.0
 
 
-@pytest.mark.parametrize("j_max", [25.0, 60.0])
+@pytest.mark.parametrize("j_max", scenes.short_first([25.0, 60.0]))
 def test_a_law_with_a_limit_has_room_for_a_few_times_the_windows_that_it_takes(j_max: float) -> None:
     """It had room for hundreds of times as many, which reverse derivatives pay for; neo-Hookean: four times."""
     scene = cup(j_max)
@@ -99,6 +99,7 @@ def test_laws_that_do_not_stiffen_steeply_are_planned_for_as_before() -> None:
     assert int(tables.planned) == np.iinfo(np.int32).max
 
 
+@pytest.mark.long
 def test_windows_become_longer_where_fewer_were_planned_than_short_ones_would_take() -> None:
     scene = cup(60.0, 60.0, damping=0.2)
     plain: Any = jaxform.run(scene)

@@ -82,6 +82,7 @@ def test_a_rim_that_lies_flat_is_not_as_steep_as_the_wall_behind_it() -> None:
     np.testing.assert_allclose(slope @ change, (ends[0] - ends[1]) / 2e-9, rtol=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:jaxform computes in float32")
 def test_one_process_may_use_both_precisions() -> None:
     walls = []

@@ -89,6 +89,7 @@ def test_what_is_axisymmetric() -> None:
     assert not is_axisymmetric(_scene(cup, thickness=0.01 * (1.5 + x)))
 
 
+@pytest.mark.long
 def test_a_cup_is_as_thin_all_around_its_corner() -> None:
     """With six segments more on each ring than on the last it is 5 % thinner on six spokes, and scatters by 2 %."""
     table = cases.exact_table("cup")

@@ -22,6 +22,7 @@ from jaxform.results.summary import (
 from jaxform.results.tool_contact import summarize_tools
 from jaxform.tools.penetration import Penetration
 from jaxform.tools.ribs import Ribs
+from tests import scenes
 
 _SHEET, _GAP, _WAY, _END = 0.01, 0.1, 0.5, 10.0
 
@@ -100,7 +101,7 @@ def _depth_in_ball(corners: np.ndarray, center: np.ndarray, radius: float) -> fl
     return radius - float(away.min())
 
 
-@pytest.mark.parametrize("radius", [0.3, 0.6])
+@pytest.mark.parametrize("radius", scenes.short_first([0.3, 0.6]))
 def test_elements_cut_a_round_plug_as_deep_as_chords_of_its_ball(radius: float) -> None:
     plug = _tool(molds.rod(radius=radius, length=2.0, segments=192), "plug", None, _WAY)
     scene = _scene(plug)

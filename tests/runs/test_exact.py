@@ -10,6 +10,7 @@ import jaxform
 from benchmarks.accuracy import cases
 from jaxform.io import files
 from jaxform.results.result import Result, drop_unused
+from tests import scenes
 
 SIZES = (38, 150, 600)
 
@@ -19,7 +20,7 @@ def _disc(elements: int, alpha: float, stretch: float) -> tuple[dict[str, float]
     return cases.disc_errors(elements, alpha, stretch)
 
 
-@pytest.mark.parametrize("case", [(0.0, 1.2), (0.0, 1.3), (0.5, 1.5)])
+@pytest.mark.parametrize("case", scenes.short_first([((0.0, 1.2),), ((0.0, 1.3),), ((0.5, 1.5),)]))
 def test_free_disc(case: tuple[float, float]) -> None:
     errors, result = _disc(SIZES[-1], *case)
     assert jaxform.explain(result) == "ok"
@@ -43,14 +44,16 @@ def test_static_sphere_of_the_modified_law() -> None:
     assert abs(error) < 3e-3
 
 
-@pytest.mark.parametrize("case", cases.SPHERES)
+@pytest.mark.parametrize("case", scenes.short_first([(case,) for case in cases.SPHERES]))
 def test_sphere_under_a_pressure_step(case: tuple[float, float, float, float]) -> None:
     largest, period, _ = cases.sphere_step_errors(1000, *case)
     assert abs(largest) < 3e-3
     assert abs(period) < 5e-3
 
 
-@pytest.mark.parametrize(("name", "most"), [("dish-coarse", 0.02), ("dish", 0.004), ("dish-refined", 0.005)])
+@pytest.mark.parametrize(
+    ("name", "most"), scenes.short_first([("dish-coarse", 0.02), ("dish", 0.004), ("dish-refined", 0.005)])
+)
 def test_dish_against_the_exact_cup(name: str, most: float) -> None:
     document = files.read_scene(name)
     scene, reference = files.build(document), files.read_reference(document)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +19,8 @@ import pytest
 
 import jaxform
 from jaxform import molds, shapes
+from jaxform.io import output
+from jaxform.mesh import meshes
 from jaxform.model.replacement import number_at
 from jaxform.results import summary
 from jaxform.runs import padding
@@ -201,7 +204,7 @@ def _names(*others: str) -> list[Any]:
     return [pytest.param(name, marks=LONG if name in LONGER else []) for name in MAKE if name not in others]
 
 
-@pytest.fixture(params=_names())
+@pytest.fixture(scope="module", params=_names())
 def case(request: pytest.FixtureRequest) -> Case:
     return _case(request.param)
 
@@ -242,6 +245,16 @@ def test_energy_balances(case: Case) -> None:
     # New nodes that begin at rest lose their energy at half a step from where it is counted.
     plain = case.scene.refinement is None and isinstance(case.scene.pressure, jaxform.Pressure)
     assert float(case.ran.energy.balance_error) < (1e-3 if plain else 2e-3)
+
+
+def test_a_file_has_what_the_part_has(case: Case, tmp_path: Path) -> None:
+    ran = case.ran
+    output.write_part(case.scene, ran, tmp_path / "final.vtu")
+    written = meshes.read_mesh(tmp_path / "final.vtu").fields
+    expected = {"thickness": ran.thickness, "contact_time": ran.contact_time, **ran.fields}
+    expected |= {} if ran.temperature is None else {"temperature": ran.temperature}
+    for name, values in expected.items():
+        np.testing.assert_allclose(written[name], np.asarray(values)[np.asarray(ran.active)], rtol=1e-12, err_msg=name)
 
 
 def test_a_replay_is_the_run(case: Case) -> None:

@@ -87,6 +87,7 @@ def test_programs_for_more_elements_serve_a_smaller_mesh(compilations: Callable[
     assert len(host.select_bucket(scene, far).scene.parison.triangles) == first
 
 
+@pytest.mark.long
 def test_a_jitted_function_of_padded_scenes_is_traced_once(compilations: Callable[[], int]) -> None:
     scenes = [jaxform.padded(dish(0.05, 60)), jaxform.padded(dish(0.06, 90, knots=5))]
     assert jax.tree.structure(scenes[0]) == jax.tree.structure(scenes[1])

@@ -24,6 +24,12 @@ from tests.examples.sealed_gas import SealedGas
 simulate = jax.jit(jaxform.simulate)
 
 
+@pytest.fixture(scope="module")
+def cup_run() -> jaxform.Result:
+    """The shared cup, formed."""
+    return jaxform.run(scenes.cup())
+
+
 def test_compiled_code_computes_what_eager_code_does() -> None:
     """A canary: some versions of JAX computed this shape of code wrongly on the CPU, without a word."""
     matrix = jnp.asarray(np.random.default_rng(0).normal(size=(3, 3)))
@@ -51,19 +57,18 @@ def test_run_and_simulate_give_the_same_numbers() -> None:
     assert len(seen) == int(whole.windows)
 
 
-def test_the_cup_touches_and_nothing_passes_the_wall() -> None:
-    result = simulate(scenes.cup())
-    x, y, z = np.asarray(result.positions).T
+def test_the_cup_touches_and_nothing_passes_the_wall(cup_run: jaxform.Result) -> None:
+    x, y, z = np.asarray(cup_run.positions).T
     radius = np.hypot(x, y)
-    assert np.asarray(result.stuck).mean() > 0.5
+    assert np.asarray(cup_run.stuck).mean() > 0.5
     assert z.max() <= 0.5 + 1e-12
     # Inside the polygon of the wall: at most on the circle that its vertices lie on.
     assert np.all(radius <= 1.0 - 0.9 * z + 1e-9)
-    touching = np.asarray(result.contact_time) > 0
+    touching = np.asarray(cup_run.contact_time) > 0
     on_wall = np.abs(z - 0.5) < 1e-9
     on_wall |= radius >= (1.0 - 0.9 * z) * np.cos(np.pi / 48) - 1e-9
     assert np.all(on_wall[touching])
-    assert float(result.energy.balance_error) < 1e-2
+    assert float(cup_run.energy.balance_error) < 1e-2
 
 
 def test_a_stuck_node_never_moves_again() -> None:
@@ -84,7 +89,7 @@ def test_a_stuck_node_never_moves_again() -> None:
 def test_uniform_thickness_cancels_where_pressure_scales_with_it() -> None:
     scene = scenes.cup()
     double = {"parison.thickness": 2 * scene.parison.thickness, "pressure.value": 2 * scene.pressure.value}
-    one, two = simulate(scene), simulate(jaxform.replace(scene, double))
+    one, two = jaxform.run(scene), jaxform.run(jaxform.replace(scene, double))
     np.testing.assert_allclose(two.positions, one.positions, atol=1e-9)
     np.testing.assert_allclose(two.thickness, 2 * one.thickness, rtol=1e-9)
 
@@ -146,11 +151,11 @@ def test_an_unstable_run_stops_and_says_so() -> None:
     assert float(result.time) < 60.0
 
 
-def test_a_sheet_that_leaves_its_mold_ends_the_run() -> None:
+def _beside_its_mold() -> jaxform.Scene:
     # A plate beside the sheet, which the balloon passes.
     plate = np.array([[1.5, 0.0, 0.0], [2.0, 0.0, 0.0], [1.5, 1.0, 0.0], [1.5, 0.0, 0.5]])
     cup = scenes.cup()
-    scene = jaxform.build_scene(
+    return jaxform.build_scene(
         parison=cup.parison,
         material=cup.material,
         pressure=cup.pressure,
@@ -158,15 +163,24 @@ def test_a_sheet_that_leaves_its_mold_ends_the_run() -> None:
         mold=jaxform.make_mold(plate, np.array([[0, 1, 2], [0, 2, 3]], np.int32)),
         fill=False,
     )
+
+
+def test_a_sheet_that_leaves_its_mold_ends_the_run() -> None:
+    scene = _beside_its_mold()
     with pytest.warns(jaxform.InputWarning):
         result = jaxform.run(scene)
     assert int(result.status) == Status.ESCAPED and "left its mold" in jaxform.explain(result)
-    assert int(jaxform.simulate(scene).status) == Status.ESCAPED
     # 1 m, the longest side of the box, beyond it; at the next border of windows.
     assert 1.5 < np.asarray(result.positions)[:, 2].max() < 10.0
     assert float(result.time) < 0.95 * float(scene.solver.end_time)
 
 
+@pytest.mark.long
+def test_a_sheet_that_leaves_its_mold_ends_a_simulation() -> None:
+    assert int(simulate(_beside_its_mold()).status) == Status.ESCAPED
+
+
+@pytest.mark.long
 def test_running_out_of_windows_is_a_status() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
     longer = jaxform.replace(scene, {"solver.end_time": 1e4})  # than its windows were counted for
@@ -287,8 +301,7 @@ def test_replace_refuses_what_does_not_fit(path: str, value: float | np.ndarray,
     assert path in str(caught.value)
 
 
-def test_float32_is_close_and_warns_once() -> None:
-    result = simulate(scenes.cup())
+def test_float32_is_close_and_warns_once(cup_run: jaxform.Result) -> None:
     with jax.enable_x64(False):
         scenes.cup.cache_clear()
         with pytest.warns(UserWarning, match="float32"):
@@ -297,7 +310,7 @@ def test_float32_is_close_and_warns_once() -> None:
         single = jaxform.run(scene)
         assert single.thickness.dtype == np.float32
     assert int(single.status) == 0
-    error = np.asarray(single.thickness, float) / np.asarray(result.thickness) - 1
+    error = np.asarray(single.thickness, float) / np.asarray(cup_run.thickness) - 1
     assert np.sqrt(np.mean(np.square(error))) < 5e-3
 
 

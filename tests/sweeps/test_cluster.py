@@ -49,6 +49,7 @@ def address(cluster: Any) -> str:
     return cluster.scheduler_address
 
 
+@pytest.mark.long
 def test_a_killed_worker_costs_nothing_that_is_recorded(address: str, tmp_path: Path) -> None:
     with workers.connect(address) as executor:
         pids = list(executor._client.run(os.getpid).values())

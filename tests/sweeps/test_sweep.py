@@ -54,6 +54,7 @@ def test_designs_and_files_are_built_and_scenes_are_sent(scene: Path) -> None:
     assert [outcome.status for outcome in found if outcome.value] == ["ok"] * 4
 
 
+@pytest.mark.long
 def test_a_scene_comes_to_a_worker_with_the_same_bits(scene: Path) -> None:
     loaded = jaxform.load(scene)
     (found,) = jaxform.sweep([loaded], same, workers=1)

@@ -22,6 +22,7 @@ from jaxform.io.report import stored_results
 from jaxform.prepare import planning
 from jaxform.results.result import Result, drop_unused
 from jaxform.runs.arrays import extend_knots
+from tests import scenes
 
 RADIUS, THICKNESS, RISE = 0.1, 1e-3, 0.05
 FILE = """
@@ -92,7 +93,7 @@ def test_how_fast_a_mold_is_from_a_time_on() -> None:
 
 @pytest.mark.parametrize(
     ("time", "displacement", "most"),
-    [("[0.0, 0.02]", "[0.0, 0.052]", 1.6), ("[0.0, 0.2, 0.205]", "[0.0, 0.0, 0.052]", 2.2)],
+    scenes.short_first([("[0.0, 0.02]", "[0.0, 0.052]", 1.6), ("[0.0, 0.2, 0.205]", "[0.0, 0.0, 0.052]", 2.2)]),
     ids=["rests at the end", "waits first"],
 )
 def test_a_plug_shortens_the_steps_while_it_moves_alone(
@@ -157,6 +158,7 @@ def test_a_plug_that_lifts_a_disc_stretches_it_as_least_energy_does(plug_result:
     assert len(lifted) == 0
 
 
+@pytest.mark.long
 def test_a_refined_sheet_on_a_plug(tmp_path: Path) -> None:
     """New nodes between held ones are held as well, on its top or its side; clamped ones stay where they are."""
     scene = plug(tmp_path, "[refinement]\nangle = 3.0\ninterval = 64\nmax_level = 2\n", element_size="0.016")
