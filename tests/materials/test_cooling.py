@@ -255,7 +255,7 @@ def _deep_scene(tmp_path: Path) -> files.SceneDocument:
 
 @pytest.mark.long
 def test_the_part_of_a_file_with_cooling_has_its_temperature(tmp_path: Path) -> None:
-    """What a part's file says is tested for each feature in tests/runs/test_features.py."""
+    """The file of a part is compared with the part for each feature in tests/runs/test_features.py."""
     scene = files.build(_deep_scene(tmp_path))
     with pytest.warns(jaxform.InputWarning, match="nothing touched"):
         result = jaxform.run(scene)
