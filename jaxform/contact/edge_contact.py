@@ -49,7 +49,7 @@ _ROUNDINGS = 64  # that the gaps are accurate to, in float32
 _SOFTNESS = 1e-5  # of a held side's own compliance: where more are held than can be
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
 _OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
-_CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals
+_CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals, besides a step's way
 _WIDER = 1.25  # times the spheres that nodes are expected to stay in
 
 
@@ -159,8 +159,13 @@ def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: 
     area = jnp.where(passes, area, 1.0)
     share, far = (b * e - c * d) / area, (a * e - b * d) / area
     passes &= (share > 0.0) & (share < 1.0) & (far >= 0.0) & (far <= 1.0)
-    # A line that touches the edge from outside has its normal between those of both faces.
-    passes &= (dot(normal1, ways[0]) <= _CONE) & (dot(normal1, ways[1]) <= _CONE)
+    # A line that touches the edge from outside has its normal between those of both faces. Where it has met another
+    # edge of a face in the same step, it is beyond that by no more than the way of its ends.
+    paths = [minus(x, y) for x, y in zip(after, before, strict=True)]
+    farthest = jnp.sqrt(jnp.maximum(*(dot(path, path) for path in paths)))
+    for third, way in zip(thirds, ways, strict=True):
+        width = dot(minus(third, start), way)
+        passes &= dot(normal1, way) * width <= farthest + _CONE * width
     return passes, share, plus(start, scale(far, edge))
 
 

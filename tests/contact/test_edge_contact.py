@@ -53,6 +53,29 @@ def blown(count: int, *, edge_contact: bool = True, pressure: float = 4000.0) ->
     )
 
 
+RIB = 0.0325, 0.0365  # [m], narrower than an element of a strip of 16
+
+
+def rib(tip: float) -> tuple[np.ndarray, np.ndarray]:
+    """A rib with a flat top across the strip at a height, with the sheet below it."""
+    rows = [(RIB[0], tip + 0.06), (RIB[0], tip), (RIB[1], tip), (RIB[1], tip + 0.06)]
+    vertices = np.array([[x, y, z] for x, z in rows for y in (-0.05, 0.1)])
+    return vertices, np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 6], [5, 7, 6]])
+
+
+def over_rib(count: int) -> jaxform.Scene:
+    """The strip blown over a rib, whose edges both pass one side, in the same step where the sheet rises fast."""
+    scene = blown(count)
+    return jaxform.build_scene(
+        parison=scene.parison,
+        material=scene.material,
+        pressure=scene.pressure,
+        solver=scene.solver,
+        mold=jaxform.make_mold(*rib(1e-3)),
+        fill=False,
+    )
+
+
 def walls(result: jaxform.Result) -> tuple[float, float]:
     """The wall on either side of the ridge, without the elements that it crosses [m]."""
     x = np.asarray(result.reference)[np.asarray(result.triangles)][..., 0]
@@ -106,6 +129,18 @@ def test_a_film_over_a_ridge_between_nodes_has_the_exact_wall_on_both_sides() ->
         free = walls(jaxform.run(blown(32, edge_contact=False)))
     assert abs(free[0] / exact[0] - 1.0) > 0.05  # without it the film is blown through the ridge
     assert abs(free[1] / exact[1] - 1.0) > 0.04
+
+
+def test_a_rib_narrower_than_an_element_holds_a_side_at_both_of_its_edges() -> None:
+    # The side meets the rib's farther edge first, and dips below the nearer one in the same step.
+    result = jaxform.run(over_rib(16))
+    assert int(result.status) == 0
+    assert held_count(result) == 6
+    x, _, z = np.asarray(result.positions)[:17].T
+    np.testing.assert_allclose(np.interp(RIB, x, z), 1e-3, atol=1e-8)
+    start, thickness = np.asarray(result.reference)[np.asarray(result.triangles)][..., 0], result.element_thickness
+    for there, length in ((start.max(1) <= RIB[0], RIB[0]), (start.min(1) >= RIB[1], LENGTH - RIB[1])):
+        assert float(np.asarray(thickness)[there].mean()) == pytest.approx(exact_wall(length), rel=5e-3)
 
 
 def wedge_scene(count: int, way: float = 0.02) -> jaxform.Scene:
@@ -175,7 +210,7 @@ def _thin_side(result: jaxform.Result) -> jax.Array:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("build", [blown, wedge_scene])
+@pytest.mark.parametrize("build", [blown, wedge_scene, over_rib])
 def test_gradients_through_edge_contact(build: Callable[[int], jaxform.Scene]) -> None:
     scene = build(8)
     schedule = jaxform.run(scene).schedule
