@@ -10,7 +10,7 @@ mesh on which it is found; but the smallest elements set the step of all. So siz
 
 An element has no kink. Where the sheet bends over a sharp edge of a tool, the line of the initial sheet that has come
 to lie there should be one of nodes. Elements across an edge do not show where that line is, for they are stretched
-alike on both sides of it: the elements beside them that lie on the tool do.
+alike on both sides of it: the elements beside them that lie on the tool do. At a clamp the line is known.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def _lines_at_edges(mold: Mold, number: int, scene: Scene, result: Result) -> li
     weight = weights(found.place, formed[triangles[found.triangle]])
     on_sheet = interpolate(start, triangles, found.triangle, weight)
     touches = (np.asarray(result.stuck) & (np.asarray(result.tool) == number))[triangles]
-    beside = touches.any(1) & ~touches.all(1)
+    beside = touches.any(1) & ~touches.all(1) & ~np.asarray(scene.parison.clamped)[triangles].any(1)
     crossed = np.flatnonzero(beside[found.triangle])
     known, continued = _continue_held(places[crossed], triangles[touches.all(1)], formed, start)
     on_sheet[crossed[known]] = continued[known]

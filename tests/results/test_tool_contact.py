@@ -91,6 +91,32 @@ def test_the_line_of_the_sheet_at_the_edge_of_a_plug_is_found_by_what_lies_on_it
     assert len(radius) > 20 and 0.45 * np.cos(np.pi / 96) - 1e-9 < radius.min() and radius.max() < 0.45 + 1e-9
 
 
+def test_a_clamped_rim_on_the_edge_of_a_mold_is_the_line_there() -> None:
+    """Though the elements at the rim are stretched less than those below, which lie on the wall."""
+    cup = molds.revolved(profile=[[0.0, -0.6], [0.6, -0.6], [1.0, 0.0], [1.3, 0.0]], segments=48)
+    sheet = shapes.disc(radius=1.0, elements=150, symmetry="quarter")
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, _SHEET, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
+        pressure=jaxform.make_pressure([0.0], [-1.0]),
+        solver=jaxform.make_solver(end_time=_END, damping=2.0),
+        mold=jaxform.make_mold(cup.vertices, cup.triangles),
+        fill=False,
+    )
+    radius = np.linalg.norm(sheet.positions, axis=1)
+    # The rings at 0.9 and 1 are half as far apart on the formed sheet as those within.
+    there = np.where(radius > 0.95, 1.0, 0.95 * radius / 0.9)
+    height = np.maximum(-0.6, 1.5 * (there - 1.0))
+    scaled = sheet.positions * (there / np.maximum(radius, 1e-12))[:, None]
+    result: Any = SimpleNamespace(
+        positions=scaled + height[:, None] * [0.0, 0.0, 1.0],
+        stuck=np.ones(len(radius), bool),
+        tool=np.where(sheet.clamped, -1, 0),
+    )
+    outer = [line for line in edge_lines(scene, result) if np.linalg.norm(line, axis=1).max() > 0.8]
+    np.testing.assert_allclose(np.linalg.norm(np.concatenate(outer), axis=1), 1.0, atol=5e-3)
+
+
 def _depth_in_ball(corners: np.ndarray, center: np.ndarray, radius: float) -> float:
     """Depth to which triangles (n, 3, 3) cut a ball, by points all over them."""
     count = 24
