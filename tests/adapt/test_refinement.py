@@ -195,7 +195,7 @@ def flying_at_first(scene: Scene) -> Scene:
     return dataclasses.replace(scene, tables=tables)
 
 
-@pytest.mark.parametrize("at_rest", [True, False])
+@pytest.mark.parametrize("at_rest", scenes.short_first([True, False]))
 def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_their_edges_did(at_rest: bool) -> None:
     scene = flying_at_first(over_a_block(2.0, at_rest=at_rest))
     before, now = scenes.begin_run(scene)

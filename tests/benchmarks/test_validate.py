@@ -26,6 +26,7 @@ def test_shooting_gives_the_tabled_discs_and_the_limit_point() -> None:
     np.testing.assert_allclose(membranes.limit_point(), 3.758347, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_the_spectral_rectangle_converges_and_the_elements_agree_with_it() -> None:
     pressure, alpha, ratio = 4.0, 0.3, 2.0
     coarse, fine = (membranes.rectangle(pressure, alpha, ratio, degree, 24) for degree in (4, 5))
@@ -36,6 +37,7 @@ def test_the_spectral_rectangle_converges_and_the_elements_agree_with_it() -> No
     assert abs(measured.errors["height"]) < 4e-3 and measured.errors["nodal thickness"] < 0.01
 
 
+@pytest.mark.long
 def test_sticking_in_a_cone() -> None:
     measured = cases.show_cone(600)
     assert measured.errors["thickness at the tabled places"] < 0.005
@@ -101,6 +103,7 @@ def test_sticking_in_a_cup_gives_the_tabled_walls() -> None:
     assert abs(np.mean(later.edges) - cases.CUP_CORNER) < 2e-3
 
 
+@pytest.mark.long
 def test_the_cups_wall_at_the_pressure_reached() -> None:
     """Nothing is cut: with an edge of elements at the corner its whole wall is right, at the corner too."""
     errors = cases.show_cup(600).errors

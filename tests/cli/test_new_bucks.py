@@ -17,7 +17,6 @@ from jaxform.io.scene_choices import VACUUM
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.results.summary import summarize
-from tests import scenes
 from tests.tools.test_bucks import BUCKS, dome, drafted_block
 
 
@@ -67,7 +66,8 @@ def test_bucks_get_a_frame_a_platen_and_a_way(tmp_path, capfd, name):
     assert walls[:, :2].min() <= sheet[:, :2].min() and walls[:, :2].max() >= sheet[:, :2].max()
 
 
-@pytest.mark.parametrize(("name", "elements"), scenes.short_first([("drafted", 700), ("dome", 500)]))
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "elements"), [("drafted", 700), ("dome", 500)])
 def test_the_draped_sheet_lies_on_the_buck_down_to_the_platen(tmp_path, name, elements):
     mold = write(tmp_path / "part.stl", BUCKS[name])
     assert command.main(["new", str(tmp_path / "scene"), "--mold", str(mold), "--quiet"]) == 0

@@ -101,6 +101,7 @@ def test_two_workers_on_a_cold_cache_compile_nothing_twice(sweep_folder: Path, c
     assert sum(name.startswith("jit_advance") for name in kept) == 1
 
 
+@pytest.mark.long
 def test_one_worker_gives_the_same_bits_and_compiles_nothing(folder: Path, sweep_folder: Path) -> None:
     out = folder / "one"
     assert command.main(_arguments(folder, out, "--workers", "1")) == 0

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests import scenes
+
 ROOT = Path(__file__).parents[2]
 _BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 _PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -79,7 +81,11 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("page", [PAGES[0], *(pytest.param(page, marks=pytest.mark.long) for page in PAGES[1:])])
+SHORT = ["docs/how-to/extend.md", "docs/how-to/fit.md"]
+"""Pages that differentiate no run, so that little compiles."""
+
+
+@pytest.mark.parametrize("page", scenes.short_first(sorted(PAGES, key=lambda page: page not in SHORT), len(SHORT)))
 def test_the_python_of_a_page_runs_and_compiles_nothing_the_second_time(page: str, folder: Path) -> None:
     blocks = _BLOCK.findall((ROOT / page).read_text())
     (first, second), printed = _run(blocks, folder)

@@ -198,6 +198,7 @@ def test_without_blocks_the_force_is_the_same() -> None:
     np.testing.assert_allclose(whole.positions, in_blocks.positions, atol=1e-11)
 
 
+@pytest.mark.long
 def test_the_measured_step_is_close_below_the_true_limit() -> None:
     """In every window of a run, against many more iterations; and the result is that of the elements' bound."""
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.5))

@@ -134,6 +134,7 @@ def _weigh(
 _slopes = jax.jit(jax.value_and_grad(_weigh, argnums=(0, 1), has_aux=True), static_argnames="adjoint")
 
 
+@pytest.mark.long
 def test_every_loop_takes_the_same_windows_and_all_derivatives_agree(
     cup: jaxform.Scene, cup_result: jaxform.Result
 ) -> None:
@@ -196,6 +197,7 @@ def test_with_refinement_all_windows_are_short() -> None:
     assert scenes.refinable(sheet, 256).tables.longest_window == SHORT_WINDOW
 
 
+@pytest.mark.long
 def test_what_is_left_in_the_room_of_the_last_window_counts_for_nothing() -> None:
     scene = scenes.cup()
 
