@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from jaxform.cli import session
 from jaxform.core import disk
-from jaxform.core.errors import InputError, warn_of
+from jaxform.core.errors import InputError, redirect_warnings, warn_of
 
 if TYPE_CHECKING:
     from jaxform.io.scene_choices import Draft
@@ -68,10 +71,30 @@ def start(arguments: argparse.Namespace) -> int:
         raise error.with_context(key="--mold") from None
     _open_folder(arguments)
     files = scene_text.write(arguments.folder, paths, made)
+    if not made.levels and _has_thin_features(files[0]):
+        made = replace(made, edge_contact=True)
+        files = scene_text.write(arguments.folder, paths, made)
     _warn(made)
     for line in _lines(made):
         say(line)
     return _say_next(arguments, files, say)
+
+
+def _has_thin_features(path: Path) -> bool:
+    """True if the mold of a scene has sharp edges, and a rib or pin that may pass between the nodes of its sheet."""
+    from jaxform.io import files, scene_checks
+    from jaxform.mesh import topology
+
+    with warnings.catch_warnings(), redirect_warnings(lambda _: None):
+        warnings.simplefilter("ignore")
+        try:
+            scene = files.build_unchecked(files.read_scene(path))
+        except InputError:  # `check` says what it is
+            return False
+    mold = scene.mold
+    if mold is None or not topology.sharp_edges(np.asarray(mold.vertices), np.asarray(mold.triangles)).size:
+        return False
+    return scene_checks.thin_feature(scene, scene_checks.finest_side(scene)) is not None
 
 
 def _start_bottle(arguments: argparse.Namespace, say: Callable[[str], None]) -> int:
@@ -200,6 +223,8 @@ def _lines(made: Draft) -> Iterator[str]:
     )
     if made.is_limited:
         yield f"{scene_text.vacuum_text(made)} (--process pressure)"
+    if made.edge_contact:
+        yield "it has a rib or pin thinner than elements: solver.edge_contact holds the sheet at sharp edges"
 
 
 def _cavity_lines(made: Draft) -> Iterator[str]:

@@ -15,6 +15,7 @@ from jaxform.io.surfaces import mirror_points
 from jaxform.loads import TwoSidedLoad, list_gases
 from jaxform.mechanics.membrane import equibiaxial_energy
 from jaxform.mesh import outlines, raster, topology
+from jaxform.mesh.grids import triangle_side
 from jaxform.model.mesh_connectivity import warn_of_connectivity
 from jaxform.model.scene import Scene
 from jaxform.results import sections
@@ -377,6 +378,7 @@ def _unit_mismatch(ratio: float, factors: dict[str, float], units: str) -> float
 # A mold with holes in its side walls, which no view along the push shows. On the host, before a run.
 
 
+_AFFORDABLE = 10_000  # elements, which a remedy may ask for
 _LEAKS_PIXELS = 800  # of the longer side of the sheet
 
 
@@ -431,9 +433,12 @@ def _region_before_mold(sheet: Array, mold: Array, level: float) -> Callable[[Ar
 
 
 def warn_of_thin_features(scene: Scene, file: str = "") -> None:
-    """Warns of the highest rib or pin of the mold that may pass between the nodes of a nearly flat sheet."""
+    """Warns of the highest rib or pin of the mold that may pass between the nodes of a nearly flat sheet.
+
+    With edge contact sides are held at it; what passes through the sheet even so is found after the run.
+    """
     side = finest_side(scene)
-    found = _thin_feature(scene, side)
+    found = None if scene.tables.edges else thin_feature(scene, side)
     if found is None:
         return
     problem = (
@@ -441,8 +446,14 @@ def warn_of_thin_features(scene: Scene, file: str = "") -> None:
         f"{found.width:.2g} m wide, and elements have sides of {side:.2g} m: it may pass through the "
         "sheet between its nodes"
     )
-    smaller = f"make the elements smaller (parison.element_size = {0.5 * found.width:.1g})"
-    remedy = f"{smaller}, set solver.edge_contact = true, or refine near the mold ([refinement])"
+    wanted, area = 0.5 * found.width, float(np.sum(np.asarray(scene.tables.sheet.area, float)))
+    near = "refine near it ([refinement])" if scene.refinement is None else "raise refinement.base_level"
+    remedies = (
+        [] if scene.refinement is not None else ["set solver.edge_contact = true, which holds the sheet at edges"]
+    )
+    if wanted >= triangle_side(area, _AFFORDABLE):
+        remedies.append(f"make the elements smaller (parison.element_size = {wanted:.1g})")
+    remedy = f"{', '.join(remedies)} or {near}" if remedies else near
     warn_of(problem, remedy, key="mold", file=file)
 
 
@@ -455,7 +466,8 @@ def finest_side(scene: Scene) -> float:
     return float(np.median(longest)) * 0.5 ** (0.5 * levels)
 
 
-def _thin_feature(scene: Scene, side: float) -> Ribs | None:
+def thin_feature(scene: Scene, side: float) -> Ribs | None:
+    """The highest rib or pin of the mold that is thinner than elements with sides of a length [m]; None without one."""
     seen = survey(scene)
     if scene.mold is None or not seen.faces:
         return None

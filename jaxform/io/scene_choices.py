@@ -228,6 +228,7 @@ class Draft:
         drape: Setup for draping over a buck; None for a cavity.
         plug: The plug that pushes the sheet first; None without one.
         doubt: Alternative kind of the mold; empty where that is clear.
+        edge_contact: True where the mold has ribs thinner than elements, at whose edges sides are held.
     """
 
     scale: float
@@ -253,6 +254,7 @@ class Draft:
     drape: Drape | None = None
     plug: Plug | None = None
     doubt: str = ""
+    edge_contact: bool = False
 
     @property
     def pressure(self) -> float:

@@ -353,6 +353,10 @@ def _solver(made: Draft) -> list[str]:
             else ["safety = 0.6  # shorter steps lose less energy where the sheet slides over edges"]
         ),
         "quasi_static = true  # warn if inertia or damping affects the wall",
+        *(
+            ["edge_contact = true  # hold elements at the edges of ribs that pass between their nodes"]
+            * made.edge_contact
+        ),
         *([] if made.drape is None else ["self_contact = true  # where the sheet folds, both films weld (a web)"]),
     ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from jaxform.cli import command, session
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, InputWarning
 from jaxform.io import files, scene_text, scene_wizard
 from jaxform.io.scene_checks import survey
 from jaxform.mesh import meshes
@@ -140,6 +141,23 @@ def test_a_hole_is_closed_and_what_is_given_counts(tmp_path, capfd):
     area = 0.5 * np.linalg.norm(np.cross(lid[:, 1] - lid[:, 0], lid[:, 2] - lid[:, 0]), axis=1).sum()
     np.testing.assert_allclose(area, 30 * 0.02**2 * np.sin(2 * np.pi / 60), rtol=1e-4)
     np.testing.assert_allclose(lid[..., 2], 0.06, atol=1e-6)
+
+
+def test_a_rib_thinner_than_elements_is_met_by_edge_contact(tmp_path, capfd):
+    """A ring 0.8 mm wide and 18 mm high on the dish's bottom: sides are held at its edges, and nothing warns."""
+    rib = [[0.0301, 0.03], [0.0301, 0.012], [0.0309, 0.012], [0.0309, 0.03]]
+    for name, ring in (("smooth", []), ("ribbed", rib)):
+        shape = molds.revolved(profile=[[0.0, 0.03], *ring, [0.06, 0.03], [0.08, 0.0], [0.1, 0.0]], segments=60)
+        mold = write(tmp_path / f"{name}.stl", Mesh(shape.vertices, shape.triangles), 1.0)
+        folder = tmp_path / name
+        assert command.main(["new", str(folder), "--mold", str(mold)]) == 0
+        said = capfd.readouterr()
+        assert ("edge_contact = true" in (folder / "scene.toml").read_text()) is bool(ring)
+        assert ("a rib or pin thinner than elements" in said.out) is bool(ring)
+        assert said.err == ""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", InputWarning)
+        assert files.load(folder / "scene.toml").solver.edge_contact
 
 
 def test_a_folder_with_files_is_kept(tmp_path, capfd):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import pytest
@@ -53,3 +54,15 @@ def test_refinement_near_the_mold_is_counted(tmp_path: Path) -> None:
     with pytest.warns(jaxform.InputWarning, match="rib or pin"):
         jaxform.load(_write(tmp_path, 400, width=0.005))
     jaxform.load(_write(tmp_path, 400, further, width=0.005))
+
+
+def test_the_remedies_are_possible(tmp_path: Path) -> None:
+    """Elements half as wide as a blade of 0.5 mm would be too many; where edge contact is on, nothing warns."""
+    with pytest.warns(jaxform.InputWarning, match=r"edge_contact = true") as said:
+        jaxform.load(_write(tmp_path, 300))
+    assert not any("element_size" in str(one.message) for one in said)
+    with pytest.warns(jaxform.InputWarning, match=r"edge_contact = true.*element_size = 0.003\)"):
+        jaxform.load(_write(tmp_path, 300, width=0.004))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", jaxform.InputWarning)
+        jaxform.load(_write(tmp_path, 300, "edge_contact = true\n"))
