@@ -304,7 +304,13 @@ def cup_scene(elements: int, law: Any, depth: float, corner: float, pressure: fl
 
 
 def sheet_in_cup(
-    sheet: Any, law: Any, depth: float, pressure: float, bottom: bool = True, refinement: Any = None
+    sheet: Any,
+    law: Any,
+    depth: float,
+    pressure: float,
+    bottom: bool = True,
+    refinement: Any = None,
+    ramp: float = 60.0,
 ) -> Scene:
     """A sheet of radius 1 into a cone of a depth, with a wall of 80 degrees where it has a bottom."""
     radius = 1.0 - depth / np.tan(np.radians(80.0))
@@ -313,10 +319,10 @@ def sheet_in_cup(
     return scene_of(
         sheet,
         law,
-        jaxform.make_pressure([0.0, 60.0], [0.0, 0.01 * pressure], "cubic-ramp"),
+        jaxform.make_pressure([0.0, ramp], [0.0, 0.01 * pressure], "cubic-ramp"),
         jaxform.make_mold(mold.vertices, mold.triangles, mold.dropped),
         refinement=refinement,
-        end_time=65.0,
+        end_time=ramp + 5.0,
         damping=2.0,
     )
 
