@@ -55,7 +55,8 @@ def _turn(mesh: Mesh) -> Mesh:
     return Mesh(mesh.positions @ TURN.T + [50.0, -60.0, 70.0], mesh.triangles, {})
 
 
-@pytest.mark.parametrize("kind", ["oval", pytest.param("square", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["oval", "square"])
 def test_scene_of_a_bottle_that_is_not_round_is_right_the_first_time(tmp_path: Path, kind: str) -> None:
     mesh, folder = _turn(loft(SQUARE if kind == "square" else OVAL)), tmp_path / "new"
     meshes.write_stl(tmp_path / "bottle.stl", mesh.positions, mesh.triangles)

@@ -92,7 +92,8 @@ def _new(folder: Path, bottle: Mesh, *more: str) -> int:
     return main(["new", str(folder / "new"), "--mold", mold, "--process", "extrusion-blow", "--quiet", *more])
 
 
-@pytest.mark.parametrize("kind", ["waist", "half", pytest.param("far handle", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["waist", "half", "far handle"])
 def test_scene_runs_the_first_time(tmp_path: Path, kind: str) -> None:
     assert _new(tmp_path, _bottle(kind)) == 0
     scene = jaxform.load(tmp_path / "new" / "scene.toml")  # warnings are errors here

@@ -20,6 +20,8 @@ from benchmarks.speed import waiting
 from jaxform.core.store import Store
 from jaxform.kernels import capacities
 from jaxform.runs import host, padding
+from jaxform.sheet.discretization import NEVER
+from jaxform.sheet.state import Schedule
 from tests.scenes import assert_same, cup
 
 pytestmark = pytest.mark.filterwarnings("ignore:nothing touched the mold", "ignore:.*hardly moved")
@@ -155,6 +157,22 @@ def test_a_mesh_as_large_as_a_rung_has_an_element_to_spare(monkeypatch: pytest.M
     none = np.asarray(pairs.element)[0, int(room.tables.counts.pairs) :]
     assert len(none) and np.all(np.asarray(room.tables.sheet.area)[none] == 0.0)
     assert np.all(np.asarray(pairs.element)[1, int(room.tables.counts.pairs) :] == -1)
+
+
+def test_a_schedule_of_a_refined_scene_goes_into_room_and_comes_back() -> None:
+    room = padding.pad_to_bucket(refined_scene(40))
+    order, rows = room.order, room.original.tables.window_count
+    assert order is not None and order.triangle is not None
+    steps, split = jnp.arange(1, rows + 1, dtype=jnp.int32), jnp.arange(len(order.triangle), dtype=jnp.int32)
+    own = Schedule(1e-3 * steps, steps, 2e-3 * steps, split)
+    there = room.schedule(own)
+    split_there = np.asarray(there.split_at)
+    np.testing.assert_array_equal(split_there[order.triangle], split)
+    others = np.delete(split_there, order.triangle)
+    assert len(others) and np.all(others == NEVER) and np.all(there.counts[rows:] == 0)
+    back = room._schedule(there, order)
+    for name in ("lengths", "counts", "bounds", "split_at"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(own, name), err_msg=name)
 
 
 def test_frames_and_stops_see_the_scene_itself() -> None:
