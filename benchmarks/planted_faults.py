@@ -163,7 +163,12 @@ FAULTS = [
     Fault("clamp", "jaxform/sheet/state.py", "jnp.minimum(end, until)", "end"),
     Fault("clamp", "jaxform/sheet/scheme.py", "else 1.0 / 8.0", "else 1.0 / 24.0"),
     Fault("recovery", "jaxform/results/recovery.py", "mean - jnp.sum(slope * first, axis=0), slope", "mean, slope"),
-    Fault("recovery", "jaxform/results/recovery.py", "first = jnp.where(mobile, first, 0.0)", "first = 1.0 * first"),
+    Fault(
+        "recovery",
+        "jaxform/results/recovery.py",
+        "even = (mobile[:, None] & mobile",
+        "even = (mobile[:, None] | mobile",
+    ),
     Fault("sizes", "jaxform/results/size_field.py", "** (-0.5 * _POWER)", "** (0.5 * _POWER)"),
     Fault("sizes", "jaxform/results/size_field.py", ".mean(1)) - recovered", ".mean(1)) + recovered"),
     Fault("sweeps", "jaxform/sweeps/designs.py", "int(share * (most - least + 1))", "int(share * (most - least))"),

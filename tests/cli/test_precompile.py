@@ -19,6 +19,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_what_was_compiled_beforehand_serves_other_scenes_of_the_kind(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -156,6 +156,7 @@ def wedge_scene(count: int, way: float = 0.02) -> jaxform.Scene:
     )
 
 
+@pytest.mark.long
 def test_an_edge_of_a_tool_that_moves_takes_the_film_along() -> None:
     result = jaxform.run(wedge_scene(32))
     assert int(result.status) == 0
