@@ -309,6 +309,41 @@ def _cut_chords(points: Array, triangles: Index, edges: Index, clamped: Mask) ->
     return topology.split_edges(points, triangles, chords, points[chords].mean(1))
 
 
+_LEFT = 0.3  # of the area of a triangle, which it keeps when its nodes move
+
+
+def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
+    """The sheet with its nodes at other places, on its surface and in its symmetry planes.
+
+    Nodes that are clamped, or on another boundary, stay, and so does one of which a triangle would become a sliver.
+
+    Args:
+        sheet: The sheet.
+        places: The places (n_node, 3) [m].
+        pairs: Pairs of nodes (m, 2) which are joined by turning the side between them, where both were moved.
+    """
+    rim = np.unique(topology.boundary_edges(sheet.triangles))
+    still = sheet.clamped.copy()
+    still[rim] |= ~sheet.fixed[rim].any(1)
+    places = np.where(still[:, None] | sheet.fixed, sheet.positions, places)
+    wanted = np.flatnonzero((places != sheet.positions).any(1))
+    if len(wanted) and np.ptp(sheet.positions[:, 2]) > 0.0:
+        places[wanted] = _Old(sheet).nearest(places[wanted]).place
+        places[wanted] = _snap(sheet, places[wanted], np.repeat(places[wanted][:, None], 2, axis=1), rim=False)
+        places = np.where(sheet.fixed, sheet.positions, places)
+    normal = topology.doubled_normals(sheet.positions, sheet.triangles)
+    square, points = np.sum(normal * normal, axis=1), sheet.positions.copy()
+    for node in wanted[np.argsort(np.linalg.norm(places - sheet.positions, axis=1)[wanted])]:
+        own = np.flatnonzero((sheet.triangles == node).any(1))
+        last, points[node] = points[node].copy(), places[node]
+        new = topology.doubled_normals(points, sheet.triangles[own])
+        if (np.sum(new * normal[own], axis=1) < _LEFT * square[own]).any():
+            points[node] = last
+    there = (points == places).all(1)
+    triangles = _join_nodes(points, np.asarray(sheet.triangles, np.int64), pairs[there[pairs].all(1)])
+    return replace(sheet, positions=points, triangles=triangles.astype(np.int32), fields=_carried_fields(sheet, points))
+
+
 # Lines that are to be edges of the new mesh: nodes along them, as far apart as the sizes say, are put into the old mesh
 # as vertices that Mmg keeps. Between two that are about a size apart, an equilateral mesh has an edge.
 

@@ -107,9 +107,7 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Re
     mesher.load_mmg()
     expected, most = 0.0, wanted.elements or max(_ELEMENTS, len(sheet.triangles))
     for number in range(1, wanted.passes + 1):
-        scene = files.build_unchecked(document, store, sheet)
-        result = _run_quietly(scene, store)
-        _check_end(result, number)
+        scene, result = _run_pass(document, sheet, store, number)
         errors, weight = size_field.element_errors(scene, result), np.asarray(scene.tables.sheet.area, float)
         error = float(np.sqrt(np.average(np.square(errors), weights=weight)))
         if report is not None:
@@ -117,7 +115,19 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Re
         lines, before = size_field.edge_lines(scene, result), len(sheet.triangles)
         sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), most, lines)
         expected = error * float(np.sqrt(before / len(sheet.triangles)))
+    # Nodes beside edges that are held would land beside them: they are moved once what lies between has been seen.
+    if document.model.solver.edge_contact:
+        scene, result = _run_pass(document, sheet, store, wanted.passes + 1)
+        sheet = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result))
     return {**_arrays(sheet), _ERROR: np.array(expected)}
+
+
+def _run_pass(document: SceneDocument, sheet: Sheet, store: Store | None, number: int) -> tuple[Scene, Result]:
+    """The scene of a document on a mesh, and its result, from which a size can be found."""
+    scene = files.build_unchecked(document, store, sheet)
+    result = _run_quietly(scene, store)
+    _check_end(result, number)
+    return scene, result
 
 
 def _run_quietly(scene: Scene, store: Store | None) -> Result:

@@ -29,6 +29,16 @@ def boundary_edges(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
     return edge[count == 1]
 
 
+def opposite_nodes(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
+    """The two nodes (n, 2) opposite to each side that two triangles share."""
+    third = np.roll(triangles, 1, axis=1).astype(np.int64).ravel()
+    key, _ = _keys(np.sort(_sides(triangles), axis=1))
+    order = np.argsort(key, kind="stable")
+    begin = np.flatnonzero(np.diff(key[order], prepend=-1))
+    pair = begin[np.diff(begin, append=len(key)) == 2]
+    return np.stack([third[order[pair]], third[order[pair + 1]]], axis=1)
+
+
 def open_sides(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
     """Sides (k, 2) of triangles, in their sense, that no neighbour's side in the opposite sense makes up for.
 
@@ -294,10 +304,10 @@ def _snap(
     moved = np.full(len(positions), -1)
     wanted = wanted[np.argsort(-near[wanted], kind="stable")]
     moved[node[wanted]] = wanted  # the nearest comes last
-    before = _doubled_normals(positions, triangles)
+    before = doubled_normals(positions, triangles)
     while (moved >= 0).any():
         there = np.where((moved >= 0)[:, None], points[moved], positions)
-        after = np.einsum("ni,ni->n", _doubled_normals(there, triangles), before)
+        after = np.einsum("ni,ni->n", doubled_normals(there, triangles), before)
         bad = after < _FLAT * np.einsum("ni,ni->n", before, before)
         stays = triangles[bad][moved[triangles[bad]] >= 0]
         if not len(stays):
@@ -306,7 +316,8 @@ def _snap(
     return moved
 
 
-def _doubled_normals(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -> NDArray[np.float64]:
+def doubled_normals(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Normals of triangles (n, 3), each twice its area long (n, 3) [m^2], from positions (n_node, 3) [m]."""
     corners = positions[triangles]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 

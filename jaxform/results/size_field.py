@@ -25,7 +25,7 @@ from jaxform.mesh import topology
 from jaxform.mesh.volumes import longest_sides
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
-from jaxform.tools.distances import Distances, interpolate, signed_weights, weights
+from jaxform.tools.distances import Distances, interpolate, nearest_places, signed_weights, weights
 from jaxform.tools.mold import Mold
 
 Array = NDArray[np.float64]
@@ -170,3 +170,89 @@ def _is_convex(vertices: Array, edges: NDArray[np.integer], places: Array) -> ND
     # Shares of the two faces' directions in the way to the place: both positive between them.
     mixed, one, other = np.sum(ways[0] * ways[1], axis=1), *(np.sum(way * away, axis=1) for way in ways)
     return (one - mixed * other <= _CONE * size) | (other - mixed * one <= _CONE * size)
+
+
+# Nodes moved on the initial sheet, so that they land on sharp edges, not beside them.
+
+_BESIDE = 0.5  # of the mean formed side at a node: it is moved onto an edge no farther away
+_ALONG = 0.8  # cosine to the edge, of a way between nodes that follow one another on it
+_ON_EDGE = 0.02  # of it: an element as near to the place of an edge is held there, or has a node there
+
+
+def places_at_edges(scene: Scene, result: Result) -> tuple[Array, NDArray[np.int64]]:
+    """Places on the initial sheet (n_node, 3) [m] of its nodes, moved so that those near sharp edges land on them.
+
+    A node that has come to lie before an edge is moved by what lies between: its elements on that side have the stretch
+    with which they landed. Of one that went past the edge, an element lies over the edge, and shows the place.
+
+    Returns:
+        The places, and pairs (m, 2) of moved nodes which follow one another on an edge and have a side between them.
+    """
+    places, pairs = np.asarray(scene.parison.positions, float).copy(), [np.zeros((0, 2), np.int64)]
+    for surface in scene.surfaces:
+        if surface.mold.contact.sticks:
+            moved, node, along = _moves_to_edges(surface.mold, scene, result)
+            places[node] = moved
+            pairs.append(_pairs_across_sides(scene, result, node, along))
+    return places, np.concatenate(pairs)
+
+
+def _pairs_across_sides(scene: Scene, result: Result, node: NDArray[np.int64], along: Array) -> NDArray[np.int64]:
+    """Pairs (m, 2) of nodes (k,) at edges with unit vectors `along` (k, 3), on both sides of a side, along the edge."""
+    triangles, formed = np.asarray(scene.parison.triangles, np.int64), np.asarray(result.positions, float)
+    opposite = topology.opposite_nodes(triangles)
+    way = np.zeros((len(formed), 3))
+    way[node] = along
+    between = formed[opposite[:, 1]] - formed[opposite[:, 0]]
+    between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), np.finfo(float).tiny)
+    straight = np.abs(np.einsum("nek,nk->ne", way[opposite], between)).min(1) > _ALONG
+    return opposite[straight]
+
+
+def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, NDArray[np.int64], Array]:
+    """Places on the initial sheet (k, 3) [m] that land on edges of a tool, their nodes (k,), the edges' ways (k, 3)."""
+    vertices = np.asarray(mold.vertices, float)
+    edges = topology.sharp_edges(vertices, np.asarray(mold.triangles))
+    start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    if not edges.size:
+        return start[:0], np.zeros(0, np.int64), start[:0]
+    formed = np.asarray(result.positions, float) - (mold.vertices_at(float(scene.solver.end_time)) - vertices)[0]
+    size = _mean_at_nodes(longest_sides(formed[triangles]), triangles, np.ones(len(triangles)), len(start))
+    goal, edge = _nearest_on_edges(formed, vertices, edges, _BESIDE * float(size.max()))
+    near = (np.linalg.norm(goal - formed, axis=1) <= _BESIDE * size) & ~np.asarray(scene.parison.clamped)
+    near &= _is_convex(vertices, edges[:, edge], start)
+    node = np.flatnonzero(near)
+    element, corner = _elements_of(triangles, node)
+    owner = np.searchsorted(node, triangles[element, corner])
+    own = formed[triangles[element]]
+    weight = signed_weights(goal[node][owner], own)
+    inside = weights(nearest_places(goal[node][owner], own), own)
+    off = np.linalg.norm(np.einsum("nc,nck->nk", inside, own) - goal[node][owner], axis=1) / size[node][owner]
+    # Of an element on the far side of the node its own corner's weight is the largest.
+    before = np.where(off <= _ON_EDGE, np.inf, weight[np.arange(len(owner)), corner])
+    order = np.lexsort((off, -before, owner))
+    first = order[np.searchsorted(owner[order], np.arange(len(node)))]
+    lies = np.asarray(result.stuck)[node] | np.isinf(before[first])
+    place = np.einsum("nc,nck->nk", weight[first], start[triangles[element[first]]])
+    way = (vertices[edges[1]] - vertices[edges[0]])[edge[node[lies]]]
+    return place[lies], node[lies], way / np.linalg.norm(way, axis=1, keepdims=True)
+
+
+def _nearest_on_edges(
+    points: Array, vertices: Array, edges: NDArray[np.integer], reach: float
+) -> tuple[Array, NDArray[np.int64]]:
+    """Places on edges (4, n_edge) nearest to points (n, 3) [m], and those edges (n,); infinitely far beyond a reach."""
+    places, nearest, least = np.full_like(points, np.inf), np.zeros(len(points), np.int64), np.full(len(points), reach)
+    for number, (begin, end) in enumerate(zip(vertices[edges[0]], vertices[edges[1]], strict=True)):
+        way = end - begin
+        share = np.clip((points - begin) @ way / max(float(way @ way), np.finfo(float).tiny), 0.0, 1.0)
+        place = begin + share[:, None] * way
+        away = np.linalg.norm(points - place, axis=1)
+        nearer = away < least
+        places[nearer], nearest[nearer], least[nearer] = place[nearer], number, away[nearer]
+    return places, nearest
+
+
+def _elements_of(triangles: Any, node: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The elements (k,) that have any of the nodes (m,), ascending, and at which of their corners (k,)."""
+    return np.nonzero(np.isin(triangles, node))

@@ -10,10 +10,13 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxform
+from jaxform.adapt import mesher
 from jaxform.contact.edge_contact import HeldSides, no_held_sides
 from jaxform.core.pytree import as_real
 from jaxform.dynamics import window_state
+from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.topology import sharp_edges
+from jaxform.results import size_field
 
 DOME = [[0.06 * np.sin(angle), 0.06 * np.cos(angle)] for angle in np.linspace(0.0, 0.5 * np.pi, 7)]
 LENGTH, RIDGE, WALL, MODULUS = 0.1, 0.0347, 1e-3, 0.2e6
@@ -231,13 +234,51 @@ def test_gradients_through_edge_contact(build: Callable[[int], jaxform.Scene]) -
     np.testing.assert_allclose(slope, difference, rtol=1e-5)
 
 
+def test_nodes_beside_a_ridge_are_moved_and_every_element_has_the_exact_wall() -> None:
+    known, worst, places = blown(16), [], strip(16).positions
+    fixed = np.tile([False, True, False], (34, 1))
+    sheet = Sheet(np.asarray(places), np.asarray(known.parison.triangles), np.asarray(known.parison.clamped), fixed)
+    for _ in range(2):
+        scene = jaxform.build_scene(
+            parison=jaxform.make_parison(sheet.positions, sheet.triangles, WALL, sheet.clamped, fixed),
+            material=known.material,
+            pressure=known.pressure,
+            solver=known.solver,
+            mold=known.mold,
+            fill=False,
+        )
+        result = jaxform.run(scene)
+        middle = sheet.positions[sheet.triangles][..., 0].mean(1)
+        exact = np.where(middle < RIDGE, exact_wall(RIDGE), exact_wall(LENGTH - RIDGE))
+        worst.append(float(np.abs(np.asarray(result.element_thickness) / exact - 1.0).max()))
+        sheet = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result))
+    np.testing.assert_allclose(np.sort(np.abs(sheet.positions[:, 0] - RIDGE))[:2], 0.0, atol=1e-5)
+    assert worst[0] > 0.05  # the elements over the ridge are held in their middle
+    assert worst[1] < 0.01
+
+
+def test_nodes_that_follow_one_another_on_an_edge_are_joined() -> None:
+    x, y = (place.ravel() for place in np.meshgrid(np.arange(4.0), np.arange(4.0)))
+    positions = np.stack([x, y, 0.0 * x], axis=1)
+    low = np.array([row * 4 + column for row in range(3) for column in range(3)])
+    triangles = np.concatenate([np.stack(way, 1) for way in ((low, low + 1, low + 5), (low, low + 5, low + 4))])
+    rim = (x % 3 == 0) | (y % 3 == 0)
+    sheet = Sheet(positions, triangles.astype(np.int32), rim, np.zeros(positions.shape, bool))
+    places = positions + np.array([0.1, 0.0, 0.0])  # the side from 5 to 10 is between 6 and 9
+    places[9, 0] = 5.0  # so far that triangles would turn over
+    made = mesher.move_nodes(sheet, places, np.array([[6, 9]]))
+    moved = np.flatnonzero((made.positions != positions).any(1))
+    assert moved.tolist() == [5, 6, 10]
+    assert (made.triangles == sheet.triangles).all()
+    places[9, 0] = 1.1
+    made = mesher.move_nodes(sheet, places, np.array([[6, 9]]))
+    assert ((made.triangles == 6).any(1) & (made.triangles == 9).any(1)).sum() == 2
+    assert len(made.triangles) == len(triangles)
+
+
 @pytest.mark.long
 def test_a_mesh_adapted_to_the_ridge_has_a_node_there_and_the_exact_wall_in_every_element() -> None:
     pytest.importorskip("mmgpy")
-    from jaxform.adapt import mesher
-    from jaxform.mesh.shapes import Sheet
-    from jaxform.results import size_field
-
     x, y = (np.linspace(0.0, end, count).ravel() for end, count in ((LENGTH, 17), (0.25 * LENGTH, 5)))
     positions = np.stack([*np.meshgrid(x, y), np.zeros((5, 17))], axis=2).reshape(-1, 3)
     low = (np.arange(4)[:, None] * 17 + np.arange(16)).ravel()
