@@ -11,6 +11,7 @@ import functools
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -22,6 +23,7 @@ import jaxform
 from benchmarks.timing import best_in_turns, whole_loop
 from jaxform import molds, shapes
 from jaxform.contact import broad_phase, candidates, sticking
+from jaxform.io import files
 from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Nodes
@@ -346,6 +348,85 @@ def show_penetration() -> None:
         )
 
 
+def sampled_depths(scene: Scene, result: jaxform.Result, divisions: int = 8) -> np.ndarray:
+    """Depth [m] of the deepest of some points of each element (n_element,) in the mold, whose triangles face one way.
+
+    It shares no code with `measure_penetration`: the nearest place of each triangle, and the side of the normals there.
+    Points whose nearest place is on the rim of an open mold are left out.
+    """
+    assert scene.mold is not None
+    mold = trimesh.Trimesh(np.asarray(scene.mold.vertices), np.asarray(scene.mold.triangles), process=False)
+    mold.merge_vertices()
+    shares = np.array([[divisions - i - j, i, j] for i in range(divisions + 1) for j in range(divisions + 1 - i)])
+    corners = np.asarray(result.positions)[np.asarray(result.triangles)]
+    points = np.einsum("pc,eck->epk", shares / divisions, corners).reshape(-1, 3)
+    start = np.asarray(scene.parison.positions)[~np.asarray(scene.parison.clamped)]
+    outside = signed_distances(mold, start)
+    side = np.sign(outside[np.nanargmax(np.abs(outside))])
+    depth = np.nan_to_num(-side * signed_distances(mold, points), nan=-np.inf)
+    return depth.reshape(len(corners), -1).max(1)
+
+
+def signed_distances(mold: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """Distances [m] of points (n, 3), positive on the side of the normals; NaN where the nearest place is on a rim."""
+    triangle, place = np.zeros(len(points), int), np.zeros_like(points)
+    for part in np.array_split(np.arange(len(points)), 1 + len(points) * len(mold.faces) // 2_000_000):
+        pairs = np.tile(mold.triangles, (len(part), 1, 1)), np.repeat(points[part], len(mold.faces), axis=0)
+        near = trimesh.triangles.closest_point(*pairs).reshape(len(part), -1, 3)
+        triangle[part] = np.linalg.norm(near - points[part, None], axis=2).argmin(1)
+        place[part] = near[np.arange(len(part)), triangle[part]]
+    weight = trimesh.triangles.points_to_barycentric(mold.triangles[triangle], place)
+    on_corner, normals = weight < 1e-7, mold.face_normals
+    side, count = np.unique(mold.edges_sorted, axis=0, return_inverse=True, return_counts=True)[1:]
+    side = side.reshape(-1, 3)  # the side k begins at the corner k
+    by_side, by_vertex = np.zeros((len(count), 3)), np.zeros(mold.vertices.shape)
+    np.add.at(by_side, side, normals[:, None])
+    np.add.at(by_vertex, mold.faces, normals[:, None] * mold.face_angles[..., None])
+    is_rim = np.zeros(len(mold.vertices), bool)
+    is_rim[mold.edges[count[side.ravel()] == 1]] = True
+    own_side = side[triangle, (on_corner.argmax(1) + 1) % 3]
+    vertex = mold.faces[triangle, weight.argmax(1)]
+    zeros = on_corner.sum(1)[:, None]
+    normal = np.where(zeros == 0, normals[triangle], np.where(zeros == 1, by_side[own_side], by_vertex[vertex]))
+    at_rim = np.where(zeros[:, 0] == 0, False, np.where(zeros[:, 0] == 1, count[own_side] == 1, is_rim[vertex]))
+    away = points - place
+    signed = np.sign(np.einsum("ij,ij->i", away, normal)) * np.linalg.norm(away, axis=1)
+    return np.where(at_rim, np.nan, signed)
+
+
+_RIBBED = [[0.0, 0.05], [0.015, 0.05], [0.0155, 0.03], [0.0205, 0.03], [0.021, 0.05], [0.045, 0.05], [0.05, 0.0]]
+_RIBBED_SCENE = {
+    "parison": {"shape": "disc", "radius": 0.05, "elements": 300, "thickness": 1e-3},
+    "material": {"model": "mooney-rivlin", "c": 2e5, "alpha": 0.1, "density": 1000.0},
+    "pressure": {"time": [0.0, 0.1], "value": [0.0, 1e5]},
+    "mold": {"shape": "revolved", "profile": _RIBBED, "segments": 48, "fill": False},
+    "solver": {"end_time": 0.12, "damping": 100.0},
+}
+
+
+def show_edges(elements: int = 2500) -> None:
+    """Prints how deep elements cut molds with sharp edges, by sampled points, with edge contact and adapted in a pass.
+
+    Asked: box 0.3 mm, bottle 0.2 mm, ribbed cup its wall.
+    """
+    documents = {name: files.read_scene(name) for name in ("box-uniform", "soap-bottle")}
+    documents["ribbed cup"] = files.validate_scene(_RIBBED_SCENE, "ribbed cup", Path.cwd())
+    for name, document in documents.items():
+        for adapt in (None, {"elements": elements, "passes": 1}):
+            parison = document.data["parison"] | ({} if adapt is None else {"adapt": adapt})
+            changed = {"parison": parison, "solver": document.data["solver"] | {"edge_contact": True}}
+            scene = files.build(files.validate_scene(document.data | changed, document.file, document.folder))
+            result = jaxform.run(scene)
+            depth, wall = sampled_depths(scene, result), np.asarray(result.element_thickness)
+            deepest = int(depth.argmax())
+            print(
+                f"{name}, {len(depth)} elements, {'uniform' if adapt is None else 'adapted'}: "
+                f"{1e3 * depth[deepest]:.3f} mm deep, where the wall is {1e3 * wall[deepest]:.3f} mm; "
+                f"{int((depth > wall).sum())} elements deeper than their wall; {int(result.steps)} steps",
+                flush=True,
+            )
+
+
 def same_part(scene: Callable[[Mold], Scene], coarse: molds.MoldShape, fine: molds.MoldShape) -> float:
     """Largest difference of the wall, relative, between runs with two meshes of one mold."""
     walls = [np.asarray(jaxform.run(scene(mold_of(shape))).thickness) for shape in (coarse, fine)]
@@ -372,6 +453,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "paths": show_paths,
     "gradients": show_gradients,
     "penetration": show_penetration,
+    "edges": show_edges,
     "finer": show_finer_molds,
 }
 

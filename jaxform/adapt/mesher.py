@@ -328,7 +328,7 @@ def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
     places = np.where(still[:, None] | sheet.fixed, sheet.positions, places)
     wanted = np.flatnonzero((places != sheet.positions).any(1))
     if len(wanted) and np.ptp(sheet.positions[:, 2]) > 0.0:
-        places[wanted] = _Old(sheet).nearest(places[wanted]).place
+        places[wanted] = _Old(sheet).nearest(places[wanted])
         places[wanted] = _snap(sheet, places[wanted], np.repeat(places[wanted][:, None], 2, axis=1), rim=False)
         places = np.where(sheet.fixed, sheet.positions, places)
     normal = topology.doubled_normals(sheet.positions, sheet.triangles)

@@ -191,38 +191,50 @@ def places_at_edges(scene: Scene, result: Result) -> tuple[Array, NDArray[np.int
     places, pairs = np.asarray(scene.parison.positions, float).copy(), [np.zeros((0, 2), np.int64)]
     for surface in scene.surfaces:
         if surface.mold.contact.sticks:
-            moved, node, along = _moves_to_edges(surface.mold, scene, result)
+            moved, node, goal, along = _moves_to_edges(surface.mold, scene, result)
             places[node] = moved
-            pairs.append(_pairs_across_sides(scene, result, node, along))
+            pairs.append(_pairs_across_sides(scene, node, goal, along))
     return places, np.concatenate(pairs)
 
 
-def _pairs_across_sides(scene: Scene, result: Result, node: NDArray[np.int64], along: Array) -> NDArray[np.int64]:
-    """Pairs (m, 2) of nodes (k,) at edges with unit vectors `along` (k, 3), on both sides of a side, along the edge."""
-    triangles, formed = np.asarray(scene.parison.triangles, np.int64), np.asarray(result.positions, float)
+def _pairs_across_sides(scene: Scene, node: NDArray[np.int64], goal: Array, along: Array) -> NDArray[np.int64]:
+    """Pairs (m, 2) of nodes (k,) on both sides of a side that follow one another on an edge.
+
+    Args:
+        scene: The scene.
+        node: The nodes (k,).
+        goal: Where on edges they are to land (k, 3) [m].
+        along: Unit vectors (k, 3) along those edges.
+    """
+    triangles, count = np.asarray(scene.parison.triangles, np.int64), len(scene.parison.positions)
     opposite = topology.opposite_nodes(triangles)
-    way = np.zeros((len(formed), 3))
-    way[node] = along
-    between = formed[opposite[:, 1]] - formed[opposite[:, 0]]
+    way, place = np.zeros((count, 3)), np.zeros((count, 3))
+    way[node], place[node] = along, goal
+    between = place[opposite[:, 1]] - place[opposite[:, 0]]
     between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), np.finfo(float).tiny)
     straight = np.abs(np.einsum("nek,nk->ne", way[opposite], between)).min(1) > _ALONG
     return opposite[straight]
 
 
-def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, NDArray[np.int64], Array]:
-    """Places on the initial sheet (k, 3) [m] that land on edges of a tool, their nodes (k,), the edges' ways (k, 3)."""
+def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, NDArray[np.int64], Array, Array]:
+    """The moves onto edges of one tool.
+
+    Returns:
+        Places on the initial sheet (k, 3) [m] that land on the edges, the nodes (k,) which are to be there, where they
+        land (k, 3) [m], and unit vectors along the edges (k, 3).
+    """
     vertices = np.asarray(mold.vertices, float)
     edges = topology.sharp_edges(vertices, np.asarray(mold.triangles))
     start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
     if not edges.size:
-        return start[:0], np.zeros(0, np.int64), start[:0]
+        return start[:0], np.zeros(0, np.int64), start[:0], start[:0]
     formed = np.asarray(result.positions, float) - (mold.vertices_at(float(scene.solver.end_time)) - vertices)[0]
     size = _mean_at_nodes(longest_sides(formed[triangles]), triangles, np.ones(len(triangles)), len(start))
     goal, edge = _nearest_on_edges(formed, vertices, edges, _BESIDE * float(size.max()))
     near = (np.linalg.norm(goal - formed, axis=1) <= _BESIDE * size) & ~np.asarray(scene.parison.clamped)
     near &= _is_convex(vertices, edges[:, edge], start)
     node = np.flatnonzero(near)
-    element, corner = _elements_of(triangles, node)
+    element, corner = np.nonzero(np.isin(triangles, node))
     owner = np.searchsorted(node, triangles[element, corner])
     own = formed[triangles[element]]
     weight = signed_weights(goal[node][owner], own)
@@ -235,7 +247,8 @@ def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, ND
     lies = np.asarray(result.stuck)[node] | np.isinf(before[first])
     place = np.einsum("nc,nck->nk", weight[first], start[triangles[element[first]]])
     way = (vertices[edges[1]] - vertices[edges[0]])[edge[node[lies]]]
-    return place[lies], node[lies], way / np.linalg.norm(way, axis=1, keepdims=True)
+    length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), np.finfo(float).tiny)
+    return place[lies], node[lies], goal[node[lies]], way / length
 
 
 def _nearest_on_edges(
@@ -251,8 +264,3 @@ def _nearest_on_edges(
         nearer = away < least
         places[nearer], nearest[nearer], least[nearer] = place[nearer], number, away[nearer]
     return places, nearest
-
-
-def _elements_of(triangles: Any, node: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The elements (k,) that have any of the nodes (m,), ascending, and at which of their corners (k,)."""
-    return np.nonzero(np.isin(triangles, node))
