@@ -203,7 +203,7 @@ def _pairs_across_sides(scene: Scene, node: NDArray[np.int64], goal: Array, alon
     Args:
         scene: The scene.
         node: The nodes (k,).
-        goal: Where on edges they are to land (k, 3) [m].
+        goal: Places on edges at which they are to land (k, 3) [m].
         along: Unit vectors (k, 3) along those edges.
     """
     triangles, count = np.asarray(scene.parison.triangles, np.int64), len(scene.parison.positions)
@@ -240,7 +240,7 @@ def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, ND
     weight = signed_weights(goal[node][owner], own)
     inside = weights(nearest_places(goal[node][owner], own), own)
     off = np.linalg.norm(np.einsum("nc,nck->nk", inside, own) - goal[node][owner], axis=1) / size[node][owner]
-    # Of an element on the far side of the node its own corner's weight is the largest.
+    # An element on the far side of the node has the largest weight at that corner.
     before = np.where(off <= _ON_EDGE, np.inf, weight[np.arange(len(owner)), corner])
     order = np.lexsort((off, -before, owner))
     first = order[np.searchsorted(owner[order], np.arange(len(node)))]
