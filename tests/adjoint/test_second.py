@@ -22,6 +22,7 @@ _QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_pas
 _WAY = jnp.asarray([0.3, -0.5, 0.7, 0.2])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("paired", scenes.short_first([False, True]))
 def test_second_derivatives_of_the_force_are_those_of_its_plain_formula(paired: bool) -> None:
     """The plain formula in forward mode twice; by hand in every order that there is."""

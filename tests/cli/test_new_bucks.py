@@ -17,6 +17,7 @@ from jaxform.io.scene_choices import VACUUM
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.results.summary import summarize
+from tests import scenes
 from tests.tools.test_bucks import BUCKS, dome, drafted_block
 
 
@@ -35,7 +36,7 @@ def coarse(folder: Path, elements: int) -> jaxform.Scene:
     return files.load(path)
 
 
-@pytest.mark.parametrize("name", [name for name in BUCKS if name != "open below"])
+@pytest.mark.parametrize("name", scenes.short_first((name for name in BUCKS if name != "open below"), 3))
 def test_bucks_get_a_frame_a_platen_and_a_way(tmp_path, capfd, name):
     mold = write(tmp_path / "part.stl", BUCKS[name])
     folder = tmp_path / "scene"

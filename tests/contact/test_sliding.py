@@ -247,6 +247,7 @@ def _blown_on_plate(friction: float) -> jaxform.Scene:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("friction", "walls"),
     # shared reference: exact thickness at initial radii 0.05, 0.2, 0.5 and 0.9
@@ -324,6 +325,7 @@ def test_capstan(friction: float, degrees: float) -> None:
     assert 0.0 < float(result.energy.friction_loss) < float(result.energy.tool_work)
 
 
+@pytest.mark.long
 def test_slip_distance_over_a_cylinder_is_the_arc_that_a_node_has_gone() -> None:
     turn, parts = np.radians(90), 46
     each = turn / parts

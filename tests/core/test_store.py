@@ -37,6 +37,7 @@ def _assert_same_run(result: object, expected: object) -> None:
         assert_same(found, wanted)
 
 
+@pytest.mark.long
 def test_kept_programs_and_grids_give_the_same_run(tmp_path: Path) -> None:
     kept = Store(tmp_path)
     document = files.read_scene("dish")

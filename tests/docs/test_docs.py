@@ -17,6 +17,14 @@ sys.path.insert(0, str(ROOT / "docs"))
 
 import reference_pages  # noqa: E402  (found by the line above)
 
+NO_OBJECTS = {"molds", "plot", "scenes", "shapes"}
+"""Public modules."""
+
+MADE_BY_FUNCTIONS = {"Parison", "Part", "Trim", "Pressure", "Refinement", "Scene", "Solver", "Mold", "Motion"}
+"""Records that are made by functions that are shown."""
+
+OF_THE_COMMAND = {"COLUMNS", "Search", "doubts", "fitting"}
+
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -27,6 +35,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_the_site_takes_nothing_from_elsewhere(site: Path) -> None:
     pages = list(site.rglob("*.html"))
     assert len(pages) > 20
@@ -38,6 +47,19 @@ def test_the_site_takes_nothing_from_elsewhere(site: Path) -> None:
     assert not re.search(r"url\(\s*['\"]?https?:", styles)
 
 
+def test_the_reference_names_every_public_name() -> None:
+    """As its pages are written; that the site has them is asked of the built one."""
+    import jaxform
+    import optimize
+
+    left_out = {"jaxform": NO_OBJECTS | MADE_BY_FUNCTIONS, "optimize": OF_THE_COMMAND}
+    for module, page in ((jaxform, "python"), (optimize, "optimize")):
+        text = (ROOT / "docs" / "reference" / f"{page}.md").read_text(encoding="utf-8")
+        shown = set(re.findall(r"^\.\. auto\w+:: (?:\w+\.)*(\w+)", text, re.MULTILINE))
+        assert not set(module.__all__) - left_out[module.__name__] - shown
+
+
+@pytest.mark.long
 def test_the_site_shows_formulas_notebooks_and_every_public_name(site: Path) -> None:
     import jaxform
     import optimize
@@ -46,14 +68,12 @@ def test_the_site_shows_formulas_notebooks_and_every_public_name(site: Path) -> 
     notebook = site / "_generated" / "notebooks" / "01_first_simulation.html"
     assert re.search(r"<img [^>]*\.png", notebook.read_text(encoding="utf-8"))
     text = (site / "reference" / "python.html").read_text(encoding="utf-8")
-    modules = {"molds", "plot", "scenes", "shapes"}
-    # These are made by functions that are shown.
-    parts = {"Parison", "Part", "Trim", "Pressure", "Refinement", "Scene", "Solver", "Mold", "Motion"}
-    missing = [name for name in set(jaxform.__all__) - modules - parts if f'id="jaxform.{name}"' not in text]
+    missing = [
+        name for name in set(jaxform.__all__) - NO_OBJECTS - MADE_BY_FUNCTIONS if f'id="jaxform.{name}"' not in text
+    ]
     assert not missing
     text = (site / "reference" / "optimize.html").read_text(encoding="utf-8")
-    parts = {"COLUMNS", "Search", "doubts", "fitting"}  # of the command
-    assert not [name for name in set(optimize.__all__) - parts if f'id="optimize.{name}"' not in text]
+    assert not [name for name in set(optimize.__all__) - OF_THE_COMMAND if f'id="optimize.{name}"' not in text]
 
 
 @pytest.mark.parametrize("model", [schema.SceneFile, schema.StudyFile])

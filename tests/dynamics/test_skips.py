@@ -30,7 +30,7 @@ from jaxform.sheet.state import is_finished, noise_vector
 from tests import scenes
 
 
-@pytest.mark.parametrize("switch", scenes.short_first(["skip_stuck", "skip_far", "end_early"], 2))
+@pytest.mark.parametrize("switch", scenes.short_first(["skip_stuck", "skip_far", "end_early"]))
 def test_the_result_is_the_same_with_a_skip_off(switch: str) -> None:
     """The steps are held to the elements' bound: the search for the highest mode depends on what is packed away."""
     scene = disable_skips(scenes.cup(), sharp_step=False)

@@ -49,6 +49,7 @@ def test_a_disc_that_is_hardly_damped_gains_no_energy() -> None:
     assert abs(_energy_gain(result)) < 0.01
 
 
+@pytest.mark.long
 def test_the_step_of_a_free_sheet_only_falls() -> None:
     result = jaxform.run(_ringing_disc(0.01, 500.0))
     assert result.schedule is not None

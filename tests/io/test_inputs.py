@@ -197,6 +197,7 @@ _TRACED: list[tuple[dict[str, Any], list[str]]] = [
 ]
 
 
+@pytest.mark.long
 def test_traced_numbers_out_of_range_are_a_status_of_their_own() -> None:
     scene = _small()
     numbers = {path: getattr(getattr(scene, path.split(".")[0]), path.split(".")[1]) for path in _BAD}
@@ -267,6 +268,7 @@ def test_of_a_batch_only_the_design_out_of_range_has_no_wall_and_gradients_raise
     np.testing.assert_allclose(values[0], value(jnp.asarray(1.0))[0], rtol=1e-9)
 
 
+@pytest.mark.long
 def test_a_summary_of_a_design_out_of_range_is_valid_json(tmp_path: Path) -> None:
     scene = _small()
     bad = jax.jit(lambda c: jaxform.simulate(jaxform.replace(scene, {"material.c": c})))(-1.0)

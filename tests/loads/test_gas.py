@@ -58,6 +58,7 @@ def _sphere(end_time: float = 200.0, elements: int = 400) -> jaxform.Scene:
     )
 
 
+@pytest.mark.long
 def test_sphere_passes_the_maximum_of_its_pressure() -> None:
     result = jaxform.run(_sphere())
     assert int(result.status) == 0 and float(result.energy.balance_error) < 1e-3

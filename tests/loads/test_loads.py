@@ -55,6 +55,7 @@ def _bears(stretch: np.ndarray) -> np.ndarray:
     return 4 * THICKNESS * (1 / stretch - stretch**-7) * (1 + 0.1 * stretch**2)
 
 
+@pytest.mark.long
 def test_a_sphere_filled_with_gas() -> None:
     """In equilibrium the gas of that volume has the pressure that the sphere bears at that stretch."""
     scene = sphere(512, outside=1.0, stretch=1.5)

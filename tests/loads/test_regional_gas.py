@@ -198,6 +198,7 @@ def _write(path: Path, **changes: str) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_scene_file_has_a_curve_for_each_gas(tmp_path: Path) -> None:
     path = _write(tmp_path / "two.toml", name="")
     assert main(["simulate", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 0

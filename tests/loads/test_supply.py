@@ -121,6 +121,7 @@ def _sphere(end_time: float, elements: int, **given: Any) -> jaxform.Scene:
     )
 
 
+@pytest.mark.long
 def test_sphere_comes_to_the_pressure_of_its_supply_and_back_through_the_vent() -> None:
     stretch = 1.2
     supply = 4.0 * 0.01 * (1.0 / stretch - stretch**-7) * (1.0 + 0.1 * stretch**2)

@@ -116,6 +116,7 @@ def _sphere(load: jaxform.Loading, end_time: float, elements: int) -> jaxform.Sc
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("adiabatic", "power"), scenes.short_first([(False, 1.0), (True, K)]))
 def test_sphere_is_stopped_by_the_air_around_it(adiabatic: bool, power: float) -> None:
     """Past the limit point of its membrane, in a closed chamber of 4 times its volume: the air there holds it."""

@@ -77,6 +77,7 @@ def test_an_even_temperature_is_another_law(viscous: Any, shift: Any) -> None:
     np.testing.assert_allclose(warm.energy.viscous_loss, same.energy.viscous_loss, rtol=1e-6, atol=1e-15)
 
 
+@pytest.mark.long
 def test_the_warm_side_becomes_thin() -> None:
     """A quarter that is warmer towards x, against its own mirror image."""
     slopes = []

@@ -162,6 +162,7 @@ def test_two_discs_become_a_mylar_balloon() -> None:
     np.testing.assert_allclose(told["wrinkled_fraction"], 1.0 - np.pi / 2 * 0.7627**2, atol=0.005)
 
 
+@pytest.mark.long
 def test_a_file_asks_for_it_and_the_part_tells_of_its_wrinkles(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(scenes.FILE.replace("[material]\n", "[material]\ntension_field = true\n"))

@@ -131,6 +131,7 @@ def _hemisphere(elements: int) -> tuple[shapes.Sheet, jaxform.Parison]:
     return sheet, jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, np.zeros(len(sheet.fixed)), sheet.fixed)
 
 
+@pytest.mark.long
 def test_hemisphere_is_inflated_as_a_sphere() -> None:
     stretch = 1.3  # below the maximum of the pressure
     pressure = 4.0 * 0.01 * (1.0 / stretch - stretch**-7) * (1.0 + 0.1 * stretch**2)

@@ -76,6 +76,7 @@ def test_guided_tube_is_a_part_of_a_long_one() -> None:
     np.testing.assert_allclose(positions[:, 2], np.asarray(result.reference)[:, 2], atol=1e-9)
 
 
+@pytest.mark.long
 def test_free_tube_shortens_as_a_hoop_in_uniaxial_tension() -> None:
     positions = np.asarray(_inflate(1.0, "free", "half", 400).positions)
     stretch = np.linalg.norm(positions[:, :2], axis=1).mean()

@@ -48,6 +48,7 @@ def cup_result(cup: jaxform.Scene) -> jaxform.Result:
     return jaxform.run(cup)
 
 
+@pytest.mark.long
 def test_a_field_follows_each_node_through_contact(cup: jaxform.Scene, cup_result: jaxform.Result) -> None:
     """Newton's cooling in closed form: in the air until the node touches, then on the mold to the end."""
     began = np.asarray(cast("Any", cup.fields["temperature"]).initial)

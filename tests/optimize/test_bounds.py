@@ -98,6 +98,7 @@ def test_values_on_a_limit_of_neighbours_come_back_and_have_slopes() -> None:
     assert np.all(np.isfinite(changes)) and changes.max(axis=0)[0] > 0.05
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("edge", scenes.short_first(BOUNDS))
 @pytest.mark.parametrize("method", scenes.short_first(["lbfgs", "least-squares"]))
 def test_a_search_from_a_bound_finds_a_wall_that_is_within_reach(method: str, edge: float) -> None:
@@ -128,6 +129,7 @@ def _at_design(value: float, slope: float) -> Point:
     return Point(np.zeros(2), value, gradient, value, slope=gradient)
 
 
+@pytest.mark.long
 def test_standing_still_on_a_slope_is_not_called_tolerance() -> None:
     study, first = _study(0.01), _at_design(0.0275, 0.03)
     idle = [0.0111] * 7

@@ -188,6 +188,7 @@ def test_a_die_gap_comes_near_the_wanted_thinnest_wall_in_four_simulations() -> 
     assert last["objective"] < 1.15 < 0.91e-3 / first["wall_min"]
 
 
+@pytest.mark.long
 def test_the_study_s_gradient_equals_central_differences() -> None:
     search = Search(study_of_hidden_profile(), None, 1.0)
     free = np.array([0.3, -0.2, 0.1, -0.4])

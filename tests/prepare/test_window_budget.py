@@ -59,6 +59,7 @@ def cup(j_max: float, end_time: float = 200.0, damping: float = 2.0) -> Scene:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("b", scenes.short_first([0.1, 0.5]))
 def test_an_exponential_law_is_planned_for_the_stretch_that_it_will_meet(b: float) -> None:
     """It was refused, for the steps that a stretch of 6 would ask for."""

@@ -131,8 +131,8 @@ AS_THEY_ARE = "cooled", "plugged"
 """Without room: in room two dozen runs with refinement and cooling, or of a sheet that slides, take minutes."""
 
 LONG = [pytest.mark.long]
-LONGER = "refined", "plugged in room"
-"""Others are refined, or slide on a plug, too."""
+LONGER = "refined", "plugged in room", "wrinkled"
+"""Others are refined, or slide on a plug, too; what wrinkles is in tests/materials/test_tension_field.py."""
 
 
 # Those that carry a derivative.

@@ -269,6 +269,7 @@ def test_what_a_scene_does_not_use_is_not_in_its_program() -> None:
     assert not absent & (free | cup | loaded)
 
 
+@pytest.mark.long
 def test_one_compilation_serves_all_numbers() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
     compiled = [0]

@@ -24,6 +24,7 @@ def _area(positions: jax.Array, triangles: jax.Array) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
+@pytest.mark.long
 def test_bottle_fills_its_mold_without_a_warning(scene: jaxform.Scene, blown: jaxform.Result) -> None:
     summary = jaxform.summarize(blown, scene)
     assert summary["status"] == "ok" and summary["warnings"] == []
@@ -40,6 +41,7 @@ def test_bottle_fills_its_mold_without_a_warning(scene: jaxform.Scene, blown: ja
     np.testing.assert_allclose(wall * _area(blown.positions, scene.parison.triangles), rubber, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_pressure_has_two_stages_below_those_of_the_supply(blown: jaxform.Result) -> None:
     assert blown.pressures is not None
     time, pressure = blown.pressures

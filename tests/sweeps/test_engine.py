@@ -161,7 +161,7 @@ def _running(pid: int) -> bool:
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no such signal")
-@pytest.mark.parametrize("how", ["SIGKILL", "SIGINT"])
+@pytest.mark.parametrize("how", ["SIGKILL", pytest.param("SIGINT", marks=pytest.mark.long)])
 def test_workers_end_with_the_process_that_began(tmp_path: Path, how: str) -> None:
     (tmp_path / "client.py").write_text(_CLIENT)
     command = [sys.executable, str(tmp_path / "client.py"), str(tmp_path)]

@@ -91,6 +91,7 @@ def test_how_fast_a_mold_is_from_a_time_on() -> None:
         assert tuple(map(float, motion.speed_from(jnp.asarray(time)))) == expected
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("time", "displacement", "most"),
     scenes.short_first([("[0.0, 0.02]", "[0.0, 0.052]", 1.6), ("[0.0, 0.2, 0.205]", "[0.0, 0.0, 0.052]", 2.2)]),
