@@ -49,7 +49,7 @@ TESTS = {
     "closing": ["tests/contact/test_pinch.py", "tests/tools/test_parting.py"],
     "clamp": ["tests/dynamics/test_clamp.py"],
     "recovery": ["tests/results/test_recovery.py"],
-    "sizes": ["tests/adapt/test_mesher.py", "tests/io/test_adaptation.py"],
+    "sizes": ["tests/results/test_recovery.py", "tests/adapt/test_mesher.py", "tests/io/test_adaptation.py"],
     "sweeps": ["tests/sweeps", "tests/cli/test_sweep.py"],
     "balance": ["tests/results/test_energy.py", "tests/dynamics", "tests/runs/test_features.py"],
     "cooling": [

@@ -118,6 +118,21 @@ def test_a_ply_with_triangles_and_quadrilaterals(tmp_path: Path, face: str, orde
     assert mesh.triangles.tolist() == [[0, 1, 4], [0, 4, 3], [1, 2, 4]]
 
 
+def test_a_ply_with_a_polygon_of_more_than_127_corners(tmp_path: Path) -> None:
+    """The number of corners is a byte without a sign."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 201)[:-1]
+    points = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 200\n" + "".join(
+        f"property double {x}\n" for x in "xyz"
+    )
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    body = points.astype("<f8").tobytes() + bytes([200]) + np.arange(200).astype("<i4").tobytes()
+    mesh = _read(tmp_path, "disc.ply", head.encode() + body)
+    corners = mesh.positions[mesh.triangles]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    np.testing.assert_allclose([len(area), area.sum()], [198, 100.0 * np.sin(np.pi / 100.0)], rtol=1e-12)
+
+
 def test_a_ply_with_line_ends_of_windows_and_strips(tmp_path: Path) -> None:
     _same(_read(tmp_path, "cup.ply", _ply().replace(b"\n", b"\r\n")))
     head, _, body = _ply(order="binary_little_endian").partition(b"end_header\n")
@@ -182,6 +197,10 @@ def _elements(faces: np.ndarray = FACES, first: int = 1) -> str:
     return "".join(f"{k + 1}, {', '.join(str(n + first) for n in face)}\n" for k, face in enumerate(faces))
 
 
+FORTRAN = "".join(f"{k}, " + ", ".join(f"{x:.17E}" for x in row) + "\n" for k, row in enumerate(POINTS.tolist(), 1))
+FORTRAN = FORTRAN.replace("E", "D")
+"""The nodes with exponents as Fortran writes those of double precision."""
+
 PLAIN = f"*Heading\n a line, of text\n*Node\n{_nodes()}*Element, type=S3\n{_elements()}"
 
 
@@ -192,6 +211,7 @@ PLAIN = f"*Heading\n a line, of text\n*Node\n{_nodes()}*Element, type=S3\n{_elem
         PLAIN.lower(),
         PLAIN.upper(),
         PLAIN.replace("\n", "\r\n"),
+        PLAIN.replace(_nodes(), FORTRAN),
         PLAIN.replace("type=S3", "type = M3D3, elset=wall"),
         PLAIN.replace("type=S3", "ELSET=a b,\nTYPE=SFM3D3"),
         PLAIN.replace("*Element", "** a comment among the nodes\n\n*Node, nset=more\n99, 0, 0\n*Element"),
