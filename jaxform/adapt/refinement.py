@@ -30,7 +30,7 @@ from jaxform.mechanics import membrane
 from jaxform.mechanics.membrane import Vector, dot, gather, minus
 from jaxform.model.scene import Adaptivity, Refinement, Scene
 from jaxform.model.tables import SHORT_WINDOW, Bend, BisectionHierarchy
-from jaxform.sheet.active_set import ActiveSet, totals_of
+from jaxform.sheet.active_set import ActiveSet, active_set_of, totals_of
 from jaxform.sheet.discretization import (
     NEVER,
     Discretization,
@@ -39,8 +39,8 @@ from jaxform.sheet.discretization import (
     node_room,
     refined_discretization,
 )
-from jaxform.sheet.energy_balance import kinetic_energy
-from jaxform.sheet.scheme import synchronize_velocity
+from jaxform.sheet.energy_balance import enclosed_volume, kinetic_energy, strain_energy
+from jaxform.sheet.scheme import start_energy, synchronize_velocity
 from jaxform.sheet.state import PackedState, Schedule, State, Status
 from jaxform.tools.search import SearchGrid, cell_of
 
@@ -341,24 +341,35 @@ def _bisect_state(
     mesh = dataclasses.replace(bisect_mesh(state.refined_mesh, queue, forest), split_at=split_at)
     body = refined_discretization(scene, forest, mesh, properties)
     new = insert_nodes(state, mesh, scene, adaptivity, properties[0], differentiable=differentiable)
-    new = _inherit_state(new, state, mesh, forest)
-    # Quantities of the energy balance alone carry no derivative.
-    energy, volume = totals_of(state, scene, discrete)
-    new_energy, new_volume = totals_of(new, scene, body)
-    kinetic, new_kinetic = (
-        jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, discrete), (new, body))
-    )
-    loss = energy + kinetic - new_energy - new_kinetic
+    new = dataclasses.replace(_inherit_state(new, state, mesh, forest), mesh=mesh)
+    energy, volume = _energy_and_volume(state, scene, discrete, differentiable=differentiable)
+    new_energy, new_volume = _energy_and_volume(new, scene, body, differentiable=differentiable)
+    # The start of the nodes with the next step misses energy, too; what the last one missed is in the balance already.
+    old_set = active or active_set_of(state, scene, discrete, differentiable=differentiable)
+    new_set = active_set_of(new, scene, body, differentiable=differentiable)
+    missed = jnp.square(before.control.step_length) * start_energy(state, scene, old_set, volume)
+    loss = energy - new_energy - missed
     made = dataclasses.replace(
         new,
-        mesh=mesh,
         control=dataclasses.replace(state.control, sharpness=jnp.zeros_like(state.control.sharpness)),
         account=dataclasses.replace(
             state.account,
             refinement_loss=state.account.refinement_loss + loss,
+            started=start_energy(new, scene, new_set, new_volume),
             volume=state.account.volume + new_volume - volume,
         ),
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
     sound = save_decision(jnp.isfinite(loss))
     return lax_cond_once(~sound, lambda _: (before, discrete), (made, body), differentiable=differentiable)
+
+
+def _energy_and_volume(
+    state: State, scene: Scene, discrete: Discretization, *, differentiable: bool
+) -> tuple[jax.Array, jax.Array]:
+    """Strain and kinetic energy [J] and enclosed volume [m^3] of a state with velocities at its time."""
+    kinetic = kinetic_energy(state, discrete.mass)
+    if differentiable:
+        return strain_energy(state, scene, discrete) + kinetic, enclosed_volume(state.nodes.positions, discrete.sheet)
+    energy, volume = totals_of(state, scene, discrete)
+    return energy + kinetic, volume

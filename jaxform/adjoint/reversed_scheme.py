@@ -249,9 +249,10 @@ def _pull_back_window(kept: _WindowResiduals, cotangents: Cotangents, end: State
         put(begun.account.rim, jnp.where(kept.count > 0, work * mean[0], end.account.rim))
     if end.account.pre_stretch_work is not None:
         put(begun.account.pre_stretch_work, end.account.pre_stretch_work)
-    if end.account.released is not None:
-        missed = end.account.contact_loss * jnp.square(kept.length)
-        put(begun.account.released, jnp.where(kept.count > 0, missed, end.account.released))
+    for name, loss in (("released", "contact_loss"), ("started", "refinement_loss")):
+        if (start := getattr(end.account, name)) is not None:
+            missed = getattr(end.account, loss) * jnp.square(kept.length)
+            put(getattr(begun.account, name), jnp.where(kept.count > 0, missed, start))
     for name in ("external_work", *LOSSES):
         put(getattr(begun.account, name), getattr(end.account, name))
     put(of[1].pressure, pull_pressure((back.pressing[:-1], gains))[0])

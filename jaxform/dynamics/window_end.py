@@ -23,7 +23,7 @@ from jaxform.model.tables import SHORT_WINDOW, SLACK
 from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.energy_balance import element_energy, energy_rounding, last_work, pressure_at
 from jaxform.sheet.scheme import add_gravity, apply_tool_velocity, conserves_energy, update_velocity
-from jaxform.sheet.state import PackedState, Replay, State, Status
+from jaxform.sheet.state import EnergyBalance, PackedState, Replay, State, Status
 from jaxform.tools.mold import tool_velocity
 
 _MOST_RETRIES = 12
@@ -47,11 +47,7 @@ def end_window(
     """The state at the window's end, or where the window is rejected that at its begin, to be retried."""
     kinetic, behind, largest, tool = end
     account = dataclasses.replace(moving.account, gravity_work=_add_gravity_work(state, moving, scene, data))
-    if account.released is not None:
-        missed = account.released * jnp.square(data.length)
-        account = dataclasses.replace(
-            account, contact_loss=account.contact_loss + missed, released=jnp.zeros_like(missed)
-        )
+    account = _add_missed_starts(account, data.length)
     work = jax.lax.stop_gradient(account.work)
     new = dataclasses.replace(
         state,
@@ -116,6 +112,17 @@ def end_window(
         windows=new.windows,
         shortened=state.shortened + bad,
     )
+
+
+def _add_missed_starts(account: EnergyBalance, length: jax.Array) -> EnergyBalance:
+    """The account with the energy that the start of nodes misses whose first step has this length [s]."""
+    for name, loss in (("released", "contact_loss"), ("started", "refinement_loss")):
+        if (start := getattr(account, name)) is not None:
+            missed = start * jnp.square(length)
+            account = dataclasses.replace(
+                account, **{loss: getattr(account, loss) + missed, name: jnp.zeros_like(missed)}
+            )
+    return account
 
 
 def _jump_tolerance(state: PackedState, scene: Scene) -> jax.Array | float:

@@ -206,6 +206,7 @@ def initial_state(scene: Scene) -> State:
             by_tool=ToolEnergies(*((zero,) * len(numbers) for numbers in (scene.moving_tools, scene.rubbing_tools))),
             last_by_tool=(zero,) * len(scene.moving_tools),
             released=None if scene.parison.clamp_until is None else zero,
+            started=None if mesh is None else zero,
         ),
         control=Control(
             step_length=zero,

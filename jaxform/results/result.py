@@ -50,7 +50,8 @@ class Energy:
         damping_loss: Work done against damping.
         contact_loss: Kinetic energy of the nodes when they stuck, and what the first step of nodes misses that a clamp
             let go.
-        refinement_loss: Strain and kinetic energy that new nodes took away.
+        refinement_loss: Strain and kinetic energy that new nodes took away, with what the time step misses of the
+            energy of modes that they set in motion.
         viscous_loss: Dissipation of the Prony terms.
         cooling_loss: Strain energy lost as the temperature softened the sheet, minus that gained as it stiffened.
         friction_loss: Dissipation by friction on tools.

@@ -98,7 +98,8 @@ class EnergyBalance:
         external_work: Work of the pressure: its forces times the nodes' displacements.
         damping_loss, contact_loss: Dissipated by damping, and by impacts on the mold; the second with what the scheme's
             product of velocities misses of nodes that a clamp let go.
-        refinement_loss: Strain and kinetic energy that new nodes took away.
+        refinement_loss: Strain and kinetic energy that new nodes took away, with what the scheme's product of
+            velocities misses as the nodes are set in motion again.
         peak_work: Largest magnitude of the external work.
         kinetic_peak: Largest kinetic energy at the end of a window.
         kinetic_excess: Kinetic energy half a step before the last window's end, less that at its end.
@@ -116,6 +117,7 @@ class EnergyBalance:
         last_by_tool: The same of `tool_last`.
         released: Energy over the squared step that the start of nodes misses which the clamp let go [kg m^2/s^4], until
             the next window is taken; None where no clamp opens.
+        started: The same of all nodes after new ones were inserted; None without refinement.
     """
 
     volume: jax.Array
@@ -139,6 +141,7 @@ class EnergyBalance:
     by_tool: ToolEnergies = ToolEnergies()
     last_by_tool: tuple[jax.Array, ...] = ()
     released: jax.Array | None = None
+    started: jax.Array | None = None
 
     def swept_volume(self, volume: jax.Array) -> jax.Array:
         """Volume swept by the sheet since the begin of the last step [m^3], with the present enclosed volume [m^3]."""
@@ -357,7 +360,7 @@ def differentiable_leaves(state: State) -> State:
     terms = dict.fromkeys(("volume", "external_work", *state.account.losses()), True)
     if state.account.tool_work is not None:
         terms |= {"tool_work": True, "tool_last": True}
-    optional = ("rim", "gravity_work", "pre_stretch_work", "released")
+    optional = ("rim", "gravity_work", "pre_stretch_work", "released", "started")
     terms |= {name: True for name in optional if getattr(state.account, name) is not None}
     by_tool: Any = jax.tree.map(lambda _: True, (state.account.by_tool, state.account.last_by_tool))
     account = dataclasses.replace(

@@ -335,6 +335,32 @@ def test_a_replay_is_smooth_along_a_line(scene: Scene, live: Result) -> None:
 
 
 @pytest.mark.long
+def test_a_sheet_that_is_refined_in_fast_flight_has_exact_gradients() -> None:
+    """A disc under a sudden pressure: its wall, the work, and what new nodes take away."""
+    sheet = jaxform.shapes.disc(radius=1.0, elements=40, symmetry="quarter")
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_pressure([0.0], [0.01]),
+        solver=jaxform.make_solver(end_time=5.0, damping=0.1),
+        refinement=jaxform.make_refinement(angle=3.0, interval=64, max_level=2, elements=800),
+    )
+    base = jaxform.run(scene)
+    assert int(base.status) == 0 and int(base.used.sum()) > 1.5 * len(sheet.triangles)
+
+    def shares(part: Result) -> jax.Array:
+        energy = part.energy
+        return jnp.stack([energy.refinement_loss, energy.external_work, jnp.sum(jnp.square(part.thickness))])
+
+    @jax.jit
+    def measure(thickness: jax.Array) -> jax.Array:
+        part = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}), schedule=base.schedule)
+        return jnp.sum(shares(part) / shares(base))
+
+    assert jaxform.check_gradient(measure, scene.parison.thickness, steps=(1e-5, 1e-6)).error < 1e-6
+
+
+@pytest.mark.long
 def test_a_batch_is_single_runs(scene: Scene) -> None:
     factors = np.array([0.8, 1.0, 1.2])
     rows = {"parison.thickness": factors[:, None] * np.asarray(scene.parison.thickness)}
