@@ -298,14 +298,13 @@ def _carried_fields(sheet: Sheet, points: Array) -> dict[str, Array]:
 
 def _cut_chords(points: Array, triangles: Index, edges: Index, clamped: Mask) -> tuple[Array, Index]:
     """The mesh with each inner edge that joins two clamped nodes of the boundary cut in its middle."""
-    sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    base = len(points)
+    sides, base = topology.edges(triangles)[0], len(points)
     rim = np.unique(edges)
     joins = clamped[sides].all(1) & np.isin(sides, rim).all(1)
     joins &= ~np.isin(sides @ [base, 1], np.sort(edges, axis=1) @ [base, 1])
     if not joins.any():
         return points, triangles
-    chords = np.unique(sides[joins], axis=0)
+    chords = sides[joins]
     return topology.split_edges(points, triangles, chords, points[chords].mean(1))
 
 

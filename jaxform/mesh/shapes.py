@@ -528,11 +528,9 @@ def clamp_borders(sheet: Sheet, region: NDArray[np.integer], *, cut: bool) -> Sh
     held = replace(sheet, clamped=sheet.clamped | (low < high))
     if not cut:
         return held
-    sides = np.sort(sheet.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).astype(np.int64)
-    ends, first, count = np.unique(sides, axis=0, return_index=True, return_counts=True)
-    other = np.unique(sides[::-1], axis=0, return_index=True)[1]
-    inside = (count == 2) & (region[first // 3] == region[(len(sides) - 1 - other) // 3])
-    chords = ends[inside & held.clamped[ends].all(1)]
+    inner = [topology.edges(sheet.triangles[region == number]) for number in np.unique(region)]
+    chords = np.concatenate([edge[(count == 2) & held.clamped[edge].all(1)] for edge, count in inner])
+    chords = chords[np.lexsort(chords.T[::-1])]  # in the order of all edges, whatever their region
     middles = sheet.positions[chords].mean(1)
     made = _with_new_nodes(held, *topology.split_edges(sheet.positions, sheet.triangles, chords, middles), chords)
     return replace(made, clamped=np.append(held.clamped, np.zeros(len(chords), bool)))
