@@ -277,7 +277,8 @@ class Search:
         scene = self.scene(free)
         result = formed_part(scene)
         # The host's records are as long as the run.
-        whole = dataclasses.replace(result, seconds=None, pressures=None, contacts=None, contact_periods=None)
+        records = dict.fromkeys(("seconds", "pressures", "contacts", "contact_periods", "contact_duration"))
+        whole = dataclasses.replace(result, **records)  # pyright: ignore[reportArgumentType]
         arguments = scene, whole, self.limits
         value, report = self._program("judge", self.judge, *arguments)(*arguments)
         return _plain(report) | {"value": float(value)}

@@ -11,6 +11,7 @@ import sys
 import time
 import warnings
 from collections import Counter
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -88,10 +89,15 @@ def deepest(made: jaxform.Scene, result: jaxform.Result) -> float:
     return max(float(depth(places, tool, float(result.time)).max()) for tool in made.tools)
 
 
-def main(count: int) -> int:
-    """Runs so many scenes of each kind; 1 if a node is beyond a tool."""
-    jax.config.update("jax_enable_x64", True)
-    warnings.simplefilter("ignore")
+class Campaign(NamedTuple):
+    """The depth [m] of the deepest node in any tool, negative where none is in one, and each run's energy balance."""
+
+    deepest: float
+    balance: list[float]
+
+
+def measure(count: int) -> Campaign:
+    """Runs so many scenes of each kind; says how they ended, and each that did not end well."""
     worst, balance, begun = -np.inf, [], time.perf_counter()
     for kind in KINDS:
         endings: Counter[str] = Counter()
@@ -99,15 +105,28 @@ def main(count: int) -> int:
             made = scene(seed, kind)
             result = jaxform.run(made)
             endings[jaxform.explain(result).split(";")[0].split(", but")[0]] += 1
-            worst, error = max(worst, deepest(made, result)), float(result.energy.balance_error)
+            deep, error = deepest(made, result), float(result.energy.balance_error)
+            worst = max(worst, deep)
             balance.append(error)
-            deep = deepest(made, result)
             if deep > 1e-9 or int(result.status):
-                print(f"{kind} {seed}: {jaxform.explain(result)}; deepest {deep:.2g} m, balance {error:.2g}")
+                _say(f"{kind} {seed}: {jaxform.explain(result)}; deepest {deep:.2g} m, balance {error:.2g}")
         seconds = time.perf_counter() - begun
-        print(f"{len(kind)} tools ({kind}): {dict(endings)}; deepest node {worst:.2g} m; {seconds:.0f} s", flush=True)
-    print(f"energy balance: median {np.median(balance):.2g}, largest {max(balance):.2g}")
-    return int(worst > 1e-9)
+        _say(f"{len(kind)} tools ({kind}): {dict(endings)}; deepest node {worst:.2g} m; {seconds:.0f} s")
+    return Campaign(worst, balance)
+
+
+def _say(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)
+
+
+def main(count: int) -> int:
+    """Runs so many scenes of each kind and prints what was found; 1 if a node is beyond a tool."""
+    jax.config.update("jax_enable_x64", True)
+    warnings.simplefilter("ignore")
+    found = measure(count)
+    print(f"deepest node {found.deepest:.2g} m")
+    print(f"energy balance: median {np.median(found.balance):.2g}, largest {max(found.balance):.2g}")
+    return int(found.deepest > 1e-9)
 
 
 if __name__ == "__main__":

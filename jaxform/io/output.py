@@ -24,6 +24,7 @@ from jaxform.model.scene import Parison, Scene
 from jaxform.results.part import part_elements
 from jaxform.results.result import Result, drop_unused
 from jaxform.results.summary import summarize, summarize_at_once, wrinkle_fraction
+from jaxform.results.tool_contact import contact_durations
 from jaxform.runs.host import Moment
 from jaxform.sheet.state import initial_node_state
 from jaxform.tools.mold import Mold
@@ -126,6 +127,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         "contact_time": np.asarray(result.contact_time, float),
         "tool": np.asarray(result.tool, np.int32),
         **({} if result.slip is None else {"slip_distance": np.asarray(result.slip, float)}),
+        **_durations(scene, contact_durations(result, len(scene.surfaces))),
         **_temperature(scene.parison, len(result.thickness), result.temperature),
         **{name: np.asarray(values, float) for name, values in result.fields.items()},
     }
@@ -149,6 +151,14 @@ def _temperature(parison: Parison, count: int, now: jax.Array | None = None) -> 
     return {} if temperature is None else {"temperature": np.asarray(temperature, float)[:count]}
 
 
+def _durations(scene: Scene, durations: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Times (n_node, n_surface) [s] for which nodes have touched each tool, by name; none where all stick to one."""
+    if durations is None or not (scene.slides or len(scene.surfaces) > 1):
+        return {}
+    names = ["mold"] * (scene.mold is not None) + [tool.name or str(number) for number, tool in enumerate(scene.tools)]
+    return {f"contact_duration_{name}": durations[:, number] for number, name in enumerate(names)}
+
+
 def write_sheet(scene: Scene, path: str | Path) -> None:
     """Writes the sheet before the first step, with the same data as `write_part`."""
     parison = scene.parison
@@ -166,6 +176,7 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
             "contact_time": np.where(np.asarray(parison.clamped)[:first], 0.0, -1.0),
             "tool": _initial_tool(scene)[:first],
             **({"slip_distance": np.zeros(first)} if scene.slides else {}),
+            **_durations(scene, np.zeros((first, len(scene.surfaces)))),
             **_temperature(parison, first),
             **{name: np.asarray(field.start(parison.positions), float)[:first] for name, field in scene.fields.items()},
         },

@@ -186,6 +186,8 @@ class Result:
             nodes may slide and `run` recorded them.
         contact_periods: Times at which nodes first came into contact with each surface, and the last of these at which
             one was (n_surface, 2) [s]; NaN for never, None where `contacts` is.
+        contact_duration: Times for which each node has touched each surface (n_node, n_surface) [s], where nodes may
+            slide and `run` recorded them: exact but for nodes that left, by up to a 120th of the end time each time.
         held_sides: Number of places where a side of an element is held at an edge of a tool; None where none can be.
         out_of_range: Numbers of the scene out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 if none. None for `run`, which refuses them.
@@ -227,6 +229,7 @@ class Result:
     tool_wall: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
     held_sides: jax.Array | None = None
     slip: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
+    contact_duration: NDArray[np.float64] | None = dataclasses.field(default=None, metadata=NODAL)
 
     def __repr__(self) -> str:
         """The size of the mesh, the time and steps simulated and the status, in one line."""

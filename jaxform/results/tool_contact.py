@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -75,6 +75,80 @@ def contact_shares_over_time(result: Result, time: Array, count: int) -> Array:
         so_far = np.concatenate([[0.0], np.cumsum(area[touching][order])])
         shares.append(so_far[np.searchsorted(last[touching][order], time, side="right")] / area.sum())
     return np.array(shares).reshape(count, len(time))
+
+
+_RECORDS = 60  # of the contact in a run in which nodes slide
+
+
+class ContactRecord:
+    """Shares of the sheet on each tool, some tens of times in a run: where nodes slide, they also leave tools.
+
+    Args:
+        count: Number of the scene's surfaces.
+        end_time: End time of the run [s].
+    """
+
+    def __init__(self, count: int, end_time: float) -> None:
+        """See the class."""
+        self._every, self._count = end_time / _RECORDS, count
+        self._times: list[float] = []
+        self._shares: list[Array] = []
+        self._periods = np.full((count, 2), np.nan)
+        self._tool, self._durations = np.zeros(0, np.int64), np.zeros((0, count))
+
+    def offer(self, time: float, make: Callable[[], Result]) -> None:
+        """Records the contact at a time [s], of the result that is made then, unless the last record is recent."""
+        if self._times and time < self._times[-1] + self._every:
+            return
+        result = make()
+        tool, landed = np.asarray(result.tool), np.asarray(result.contact_time, float)
+        self._durations, self._tool = self.durations(result), tool
+        self._times.append(time)
+        self._shares.append(contact_shares(result, self._count))
+        for number in np.unique(tool[tool >= 0]):
+            first, _ = self._periods[number]
+            self._periods[number] = np.fmin(first, landed[tool == number].min()), time
+
+    def rows(self) -> Array:
+        """Times and shares (1 + count, n), from 0 on, when nothing has been formed yet."""
+        shares = np.array(self._shares).reshape(-1, self._count)
+        rows = np.concatenate([np.array(self._times)[:, None], shares], axis=1)
+        return np.concatenate([np.zeros((1, 1 + self._count)), rows]).T
+
+    def periods(self) -> Array:
+        """First and last time of contact of any node with each tool (count, 2) [s]; NaN without contact."""
+        return self._periods
+
+    def durations(self, result: Result) -> Array:
+        """Times for which each node has touched each tool until a result (n_node, count) [s].
+
+        When a node has left a tool is known to the last record before; half the time since then is counted.
+        """
+        time, since = float(result.time), self._times[-1] if self._times else 0.0
+        tool, landed = np.asarray(result.tool), np.asarray(result.contact_time, float)
+        more = len(tool) - len(self._tool)
+        former = np.pad(self._tool, (0, more), constant_values=-1)
+        durations = np.pad(self._durations, ((0, more), (0, 0)))
+        begin = np.where(tool >= 0, np.clip(landed, since, time), time)
+        left = np.flatnonzero((former >= 0) & ((tool != former) | (landed > since)))
+        durations[left, former[left]] += 0.5 * (begin[left] - since)
+        on = np.flatnonzero(tool >= 0)
+        durations[on, tool[on]] += time - begin[on]
+        return durations
+
+
+def contact_durations(result: Result, count: int) -> Array | None:
+    """Times for which each node has touched each of so many tools (n_node, count) [s]; None where it is not known.
+
+    Nodes that stick have touched their tool since they came to it; of others the run keeps a record.
+    """
+    if result.contact_duration is not None:
+        return result.contact_duration
+    if result.slip is not None:
+        return None
+    landed = _from_start(np.asarray(result.contact_time, float))
+    on = np.asarray(result.tool)[:, None] == np.arange(count)
+    return np.where(on, float(result.time) - landed[:, None], 0.0)
 
 
 def tool_label(tool: Mold) -> str:

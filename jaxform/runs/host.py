@@ -26,7 +26,7 @@ from jaxform.results.filling import may_be_unfilled
 from jaxform.results.part import has_burst, warnings_of_part
 from jaxform.results.result import Result, Seconds, make_result
 from jaxform.results.summary import add_filling, warnings_of
-from jaxform.results.tool_contact import contact_shares
+from jaxform.results.tool_contact import ContactRecord
 from jaxform.runs.padding import PaddedScene, pad_to_bucket
 from jaxform.sheet.active_set import ActiveSet, repack, whole_set
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
@@ -81,7 +81,6 @@ def remaining_windows(scene: Scene, state: State, most_steps: int) -> int:
     return max(0, min(scene.tables.window_count - int(state.windows), -(-steps // int(scene.tables.longest_window))))
 
 
-_RECORDS = 60  # of the contact in a run in which nodes slide
 _GOING, _LAST = np.bool_(False), np.bool_(True)
 
 
@@ -154,7 +153,7 @@ def _run(
     ready, telling = time.perf_counter(), 0.0
     follows = state.account.load_state is not None
     pressures: list[tuple[float, ...]] = []
-    contacts = _ContactRecord(original) if original.slides else None
+    contacts = ContactRecord(len(original.surfaces), float(original.solver.end_time)) if original.slides else None
     at_once = on_window is None and not follows and contacts is None
     compiling = ready - began
     while left := remaining_windows(scene, state, limit):
@@ -175,10 +174,11 @@ def _run(
         if on_window is not None or contacts is not None:
             now = state, scene, first, taken
             made = lambda now=now, made=ending: padded.result(made.result()(*now, _GOING))  # noqa: E731
-            moment = _moment(state, scene, made, getattr(original.pressure, "names", ()))
+            whole = lambda made=made: _with_durations(made(), contacts)  # noqa: E731
+            moment = _moment(state, scene, whole, getattr(original.pressure, "names", ()))
             told = time.perf_counter()
             if contacts is not None and not done:
-                contacts.offer(moment)
+                contacts.offer(moment.time, made)
             stop = on_window is not None and on_window(moment)
             telling += time.perf_counter() - told
             if stop:
@@ -191,7 +191,7 @@ def _run(
     made = ending.result()
     compiling += time.perf_counter() - paused
     telling += time.perf_counter() - paused
-    final = padded.result(made(state, scene, first, taken, _LAST))
+    final = _with_durations(padded.result(made(state, scene, first, taken, _LAST)), contacts)
     # The loop's time excludes that of the caller in between, such as for writing frames.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
     recorded = {
@@ -211,36 +211,9 @@ def _run(
     return final
 
 
-class _ContactRecord:
-    """Shares of the sheet on each tool, some tens of times in a run: where nodes slide, they also leave tools."""
-
-    def __init__(self, scene: Scene) -> None:
-        self._every = float(scene.solver.end_time) / _RECORDS
-        self._count = len(scene.surfaces)
-        self._times: list[float] = []
-        self._shares: list[np.ndarray] = []
-        self._periods = np.full((self._count, 2), np.nan)
-
-    def offer(self, moment: Moment) -> None:
-        """Records the shares, unless the last ones are recent."""
-        if not self._times or moment.time >= self._times[-1] + self._every:
-            result = moment.result()
-            self._times.append(moment.time)
-            self._shares.append(contact_shares(result, self._count))
-            tool, landed = np.asarray(result.tool), np.asarray(result.contact_time, float)
-            for number in np.unique(tool[tool >= 0]):
-                first, _ = self._periods[number]
-                self._periods[number] = np.fmin(first, landed[tool == number].min()), moment.time
-
-    def rows(self) -> np.ndarray:
-        """Times and shares (1 + count, n), from 0 on, when nothing has been formed yet."""
-        shares = np.array(self._shares).reshape(-1, self._count)
-        rows = np.concatenate([np.array(self._times)[:, None], shares], axis=1)
-        return np.concatenate([np.zeros((1, 1 + self._count)), rows]).T
-
-    def periods(self) -> np.ndarray:
-        """First and last time of contact of any node with each tool (count, 2) [s]; NaN without contact."""
-        return self._periods
+def _with_durations(result: Result, contacts: ContactRecord | None) -> Result:
+    """The result with the times for which its nodes have touched each tool, where they are recorded."""
+    return result if contacts is None else dataclasses.replace(result, contact_duration=contacts.durations(result))
 
 
 def _record_pressure(pressures: list[tuple[float, ...]], state: State) -> None:

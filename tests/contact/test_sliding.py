@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxform
+from benchmarks.accuracy import tools as figures
 from benchmarks.stability import tools
 from jaxform import molds, shapes
 from jaxform.contact import broad_phase, candidates, sticking
@@ -36,11 +37,6 @@ def _surface(vertices: np.ndarray, triangles: np.ndarray, law: jaxform.ContactLa
     tool = jaxform.make_mold(vertices, triangles, contact=law)
     neighbors = jnp.asarray(signed_neighbors(np.asarray(tool.triangles)))
     return ContactSurface(tool, build_grid(np.asarray(vertices, float), np.asarray(triangles), 0.1), neighbors)
-
-
-def _square(height: float = 0.0, half: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float) * half
-    return corners + np.array([0.0, 0.0, height]), np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def test_neighbors_of_triangles_that_turn_either_way() -> None:
@@ -106,7 +102,7 @@ def test_in_a_corner_a_node_stops_and_over_an_edge_without_push_it_leaves() -> N
 
 @pytest.mark.parametrize("apart", [True, False])
 def test_a_node_that_slides_does_not_pass_another_part_of_its_tool(apart: bool) -> None:
-    floor, triangles = _square()
+    floor, triangles = figures.plate()
     wall = np.array([[1.0, -1.0, -0.5], [1.0, 1.0, -0.5], [1.0, 1.0, 0.5], [1.0, -1.0, 0.5]])
     both = np.concatenate([triangles, triangles + 4]) if apart else triangles
     tool = jaxform.make_mold(np.concatenate([floor, wall]), both, contact=jaxform.Slide())
@@ -138,7 +134,7 @@ def test_a_node_that_slides_does_not_pass_another_part_of_its_tool(apart: bool) 
 
 @pytest.mark.parametrize("law", ["slide", "stick"])
 def test_a_node_that_touches_without_crossing_stays_on_its_side(law: str) -> None:
-    surface = _surface(*_square(), jaxform.make_contact_law(law))
+    surface = _surface(*figures.plate(), jaxform.make_contact_law(law))
     # Half the distance of a touch above and below; it goes up, goes down without crossing, and crosses.
     touch, step = float(touch_distance(surface.grid)), 1e-3
     height = 0.5 * touch * np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
@@ -157,10 +153,10 @@ def test_a_step_within_a_triangle_is_that_of_the_walk_over_triangles() -> None:
     """On two tools, one of which moves; some nodes are on a symmetry plane, leave or cross an edge."""
     rng, count = np.random.default_rng(3), 400
     slope = np.array([[1.0, 0.0, 0.3], [0.0, 1.0, 0.0], [-0.3, 0.0, 1.0]])
-    flat, tilted = (_square(half=1.0)[0] @ turn for turn in (np.eye(3), slope))
+    flat, tilted = (figures.plate(half=1.0)[0] @ turn for turn in (np.eye(3), slope))
     surfaces = (
-        _surface(flat, _square()[1], jaxform.make_contact_law("coulomb", 0.3)),
-        _surface(tilted, _square()[1], jaxform.make_contact_law("slide")),
+        _surface(flat, figures.plate()[1], jaxform.make_contact_law("coulomb", 0.3)),
+        _surface(tilted, figures.plate()[1], jaxform.make_contact_law("slide")),
     )
     frame = ToolFrame(jnp.array([0.02, 0.0, 0.1]), jnp.array([0.3, 0.0, -0.2]))
     kick, length, damping = jnp.asarray(0.02), jnp.asarray(0.03), jnp.asarray(0.7)
@@ -205,7 +201,7 @@ def test_a_step_within_a_triangle_is_that_of_the_walk_over_triangles() -> None:
 
 
 def test_below_the_cone_nothing_moves_and_beyond_it_all_of_the_excess_does() -> None:
-    surface = _surface(*_square(), jaxform.make_contact_law("coulomb", 0.3))
+    surface = _surface(*figures.plate(), jaxform.make_contact_law("coulomb", 0.3))
     mass, kick = 2.0, 1e-5
     push, pull = 5.0, jnp.array([1.499999, 1.500001, -1.6])
 
@@ -234,19 +230,6 @@ def test_below_the_cone_nothing_moves_and_beyond_it_all_of_the_excess_does() -> 
     np.testing.assert_allclose(friction[1:], 0.3 * push * np.abs(way[1:]), rtol=1e-4)
 
 
-def _blown_on_plate(friction: float) -> jaxform.Scene:
-    sheet = shapes.disc(radius=1.0, elements=150, symmetry="quarter")
-    thin = 0.01
-    return jaxform.build_scene(
-        parison=jaxform.make_parison(sheet.positions, sheet.triangles, thin, sheet.clamped, sheet.fixed),
-        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
-        pressure=jaxform.make_pressure([0.0, 48.0], [0.0, 4.0 * thin]),
-        solver=jaxform.make_solver(end_time=60.0, damping=1.0),
-        mold=jaxform.make_mold(*_square(0.5), contact=jaxform.make_contact_law("coulomb", friction)),
-        fill=False,
-    )
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("friction", "walls"),
@@ -254,13 +237,10 @@ def _blown_on_plate(friction: float) -> jaxform.Scene:
     scenes.short_first([(0.0, [0.631376, 0.631376, 0.636591, 0.746505]), (5.0, [0.7243, 0.6919, 0.6354, 0.7433])]),
 )
 def test_disc_blown_against_a_plate(friction: float, walls: list[float]) -> None:
-    scene = _blown_on_plate(friction)
+    scene = figures.blown_on_plate(friction)
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 1e-4
-    radius = np.linalg.norm(np.asarray(scene.parison.positions)[np.asarray(result.triangles)].mean(1), axis=1)
-    thin = np.asarray(result.element_thickness) / 0.01
-    found = [np.polyval(np.polyfit(radius[near] - at, thin[near], 2), 0.0)
-             for at in (0.05, 0.2, 0.5, 0.9) for near in [np.abs(radius - at) < 0.12]]  # fmt: skip
+    found = figures.wall_at(scene, result, (0.05, 0.2, 0.5, 0.9), 0.12)
     np.testing.assert_allclose(found, walls, rtol=0.01)
     height = np.asarray(result.positions)[:, 2]
     assert height.max() == 0.5 and np.sum(height == 0.5) >= np.sum(np.asarray(result.tool) == 0) > 10
@@ -268,59 +248,12 @@ def test_disc_blown_against_a_plate(friction: float, walls: list[float]) -> None
     assert dissipated < 1e-6 * float(result.energy.external_work)
 
 
-def _cylinder(turn: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
-    each = turn / parts
-    angle, radius = (np.arange(-2, parts + 4) - 0.5) * each, 1 / np.cos(each / 2)
-    ring = radius * np.stack([np.sin(angle), 0 * angle, np.cos(angle)], 1)
-    count, low = len(angle), np.arange(len(angle) - 1)
-    triangles = np.concatenate(
-        [np.stack([low, low + 1, count + low + 1], 1), np.stack([low, count + low + 1, count + low], 1)]
-    )
-    return np.concatenate([ring - [0, 1, 0], ring + np.array([0, 1, 0])]), triangles
-
-
-def _strip_over_cylinder(friction: float, turn: float, parts: int) -> jaxform.Scene:
-    """A strip, clamped at one end and drawn over a cylinder by a jaw that sticks to the other one."""
-    each, lead = turn / parts, 10
-    step, angle = 2 * np.tan(each / 2), np.arange(parts + 1) * each
-    arc = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], 1)
-    away = np.arange(1, lead + 1)[:, None] * step
-    tangent = np.array([np.cos(turn), 0.0, -np.sin(turn)])
-    line = np.concatenate([(arc[0] - away * [1.0, 0.0, 0.0])[::-1], arc, arc[-1] + away * tangent])
-    count, low = len(line), np.arange(len(line) - 1)
-    places = np.concatenate([line - [0, step / 2, 0], line + np.array([0, step / 2, 0])])
-    triangles = np.concatenate(
-        [np.stack([low, count + low + 1, low + 1], 1), np.stack([low, count + low, count + low + 1], 1)]
-    )
-    clamped, fixed = np.zeros(2 * count, bool), np.zeros((2 * count, 3), bool)
-    clamped[[0, count]], fixed[:, 1] = True, True
-    across, end = np.array([0.0, 1.0, 0.0]), line[-1]
-    jaw = np.array([end + k * step * tangent + s * across for k, s in ((-0.4, -1), (3, -1), (3, 1), (-0.4, 1))])
-    rest, law = 60.0, jaxform.make_contact_law("coulomb", friction)
-    return jaxform.build_scene(
-        parison=jaxform.make_parison(places, triangles, 0.01, clamped, fixed),
-        material=jaxform.NeoHookean(as_real(1.0), as_real(1.0)),
-        pressure=jaxform.make_pressure([0.0], [0.0]),
-        solver=jaxform.make_solver(end_time=rest, damping=2.0),
-        tools=[
-            jaxform.make_mold(*_cylinder(turn, parts), contact=law, name="cylinder"),
-            jaxform.make_mold(
-                jaw, np.array([[0, 1, 2], [0, 2, 3]]), name="jaw",
-                motion=jaxform.make_motion(tangent, [0.0, rest], [0.0, 1.0]),
-            ),
-        ],
-        fill=False,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize(("friction", "degrees"), scenes.short_first([(0.3, 90), (0.1, 45), (1.0, 90), (0.3, 180)]))
 def test_capstan(friction: float, degrees: float) -> None:
-    scene = _strip_over_cylinder(friction, np.radians(degrees), 46)
+    scene = figures.strip_over_cylinder(friction, np.radians(degrees), 46)
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok" and float(result.energy.balance_error) < 5e-3
-    stretch, count = np.asarray(result.stretches)[:, 0], len(scene.parison.positions) // 2
-    tension = 2 * (stretch - stretch**-3.0)  # per c h0, as wide as before
-    ratio = tension[[count - 3, 2 * count - 4]].mean() / tension[[1, count]].mean()
+    ratio = figures.tension_ratio(scene, result)
     assert ratio == pytest.approx(np.exp(friction * np.radians(degrees)), rel=0.01)
     assert 0.0 < float(result.energy.friction_loss) < float(result.energy.tool_work)
 
@@ -329,7 +262,7 @@ def test_capstan(friction: float, degrees: float) -> None:
 def test_slip_distance_over_a_cylinder_is_the_arc_that_a_node_has_gone() -> None:
     turn, parts = np.radians(90), 46
     each = turn / parts
-    scene = _strip_over_cylinder(0.3, turn, parts)
+    scene = figures.strip_over_cylinder(0.3, turn, parts)
     result = jaxform.run(scene)
 
     def arc(places: np.ndarray) -> np.ndarray:
@@ -544,7 +477,7 @@ def test_friction_over_temperature_is_linear_between_knots_and_held_beyond() -> 
     law = _table(knots, values)
     np.testing.assert_allclose(law.at(warm).friction, np.interp(warm, knots, values), rtol=1e-15)
     # In a step within a triangle, and in the walk: what slides on a plate is braked by its own coefficient.
-    surface, count = _surface(*_square(), law), warm.size
+    surface, count = _surface(*figures.plate(), law), warm.size
     push, step = 0.5, jnp.asarray(1e-3)
     free = jnp.full(count, 1.0), jnp.zeros(count), jnp.full(count, -push)
     nodes = LyingNodes(
@@ -568,7 +501,7 @@ def test_friction_over_temperature_is_linear_between_knots_and_held_beyond() -> 
 def test_a_strip_is_as_slippery_as_it_is_warm() -> None:
     """At temperatures between the knots; and cooled by the cylinder, of which every node keeps its own."""
     friction, turn = 0.3, np.radians(90)
-    scene = _strip_over_cylinder(friction, turn, 46)
+    scene = figures.strip_over_cylinder(friction, turn, 46)
     one = jaxform.run(scene)
 
     def warm(temperature: Any, law: jaxform.Coulomb, cooling: jaxform.Cooling | None = None) -> jaxform.Result:

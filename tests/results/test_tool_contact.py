@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import meshio
 import numpy as np
 import pytest
 
 import jaxform
 from jaxform import molds, shapes
 from jaxform.core.pytree import as_real
+from jaxform.io.output import write_part
 from jaxform.results.size_field import edge_lines
 from jaxform.results.summary import (
     _warnings_of_depth,
@@ -19,7 +22,7 @@ from jaxform.results.summary import (
     summarize,
     summarize_at_once,
 )
-from jaxform.results.tool_contact import summarize_tools
+from jaxform.results.tool_contact import ContactRecord, summarize_tools
 from jaxform.tools.penetration import Penetration
 from jaxform.tools.ribs import Ribs
 from tests import scenes
@@ -216,6 +219,50 @@ def test_contact_of_tools_that_come_and_go() -> None:
     assert second["contact_period"] == [4.0, 9.0] and second["thickness"] is None
     # It was left before the end.
     assert third["contact_period"] == [5.5, 6.5] and third["contact_time"] is None
+
+
+def test_how_long_nodes_have_touched_each_tool() -> None:
+    """By records now and then: of nodes that stay, that leave, that go to another tool, that leave and come back."""
+
+    def at(time: float, tool: list[int], landed: list[float]) -> Any:
+        return SimpleNamespace(
+            time=time,
+            tool=np.array(tool),
+            contact_time=np.array(landed),
+            triangles=np.array([[0, 1, 2]]),
+            used=np.ones(1, bool),
+            stuck=np.zeros(len(tool), bool),
+            element_volume=np.ones(1),
+            element_thickness=np.ones(1),
+        )
+
+    record = ContactRecord(2, 60.0)
+    free, held = [-1, -1, -1, -1], [0, 0, 0, 0]
+    record.offer(1.0, lambda: at(1.0, free, [-1.0] * 4))
+    record.offer(3.0, lambda: at(3.0, held, [2.0] * 4))
+    record.offer(3.5, lambda: pytest.fail("too soon after the last record"))
+    # Of the time since the last record half is counted, until the node came to a tool again.
+    then = at(5.0, [0, -1, 1, 0], [2.0, -1.0, 4.0, 4.5])
+    np.testing.assert_allclose(record.durations(then), [[3.0, 0.0], [2.0, 0.0], [1.5, 1.0], [2.25, 0.0]])
+    record.offer(5.0, lambda: then)
+    # A new node has touched nothing before.
+    last = at(9.0, [0, 1, 1, -1, 0], [2.0, 8.0, 4.0, -1.0, 8.5])
+    expected = [[7.0, 0.0], [2.0, 1.0], [1.5, 5.0], [4.25, 0.0], [0.5, 0.0]]
+    for _ in range(2):
+        np.testing.assert_allclose(record.durations(last), expected)
+
+
+def test_nodes_that_stick_have_touched_their_tool_since_they_came_to_it(
+    pushed_flat: tuple[jaxform.Scene, jaxform.Result], tmp_path: Path
+) -> None:
+    scene, result = pushed_flat
+    write_part(scene, result, tmp_path / "part.vtu")
+    fields = meshio.read(tmp_path / "part.vtu").point_data
+    on = np.asarray(result.tool) == 0
+    assert 5 < on.sum() < len(on)
+    expected = np.where(on, float(result.time) - np.asarray(result.contact_time), 0.0)
+    np.testing.assert_allclose(fields["contact_duration_plug"], expected, rtol=1e-12)
+    np.testing.assert_array_equal(fields["contact_duration_far"], 0.0)
 
 
 def test_contact_from_the_start_begins_at_0() -> None:
