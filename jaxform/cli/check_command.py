@@ -187,6 +187,10 @@ def _tool_lines(tool: Mold) -> Iterator[str]:
     yield f"tool {tool.name}: {len(tool.triangles)} triangles{dropped}; {extent}"
     way = "rests" if tool.motion is None else _way(tool.motion)
     yield f"the tool {tool.name} {way}; nodes on it {_contact_words(tool)}"
+    numbers = (("temperature", tool.temperature, "degC"), ("heat transfer", tool.heat_transfer, "W/(m² K)"))
+    own = [f"{name} {float(value):.4g} {unit}" for name, value, unit in numbers if value is not None]
+    if own:
+        yield f"the tool {tool.name} cools the sheet by numbers other than the mold's: {', '.join(own)}"
 
 
 def _way(motion: Motion) -> str:

@@ -302,7 +302,7 @@ def validate_field(name: str, given: Field, count: int, forest: bisection.Triang
     key = f"fields.{name}"
     if not is_registered(given, Field):
         raise InputError("is not a field", "derive its class from jaxform.Field, decorated with jaxform.field", key)
-    if name in _RESERVED or not name.isidentifier():
+    if name in _RESERVED or name.startswith("contact_duration_") or not name.isidentifier():
         raise InputError("cannot be a field's name", f"give a name in letters, none of {', '.join(_RESERVED)}", key)
     made, new = _convert_numbers(given, key), {}
     whole = count if forest is None else len(forest.positions)

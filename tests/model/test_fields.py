@@ -183,6 +183,7 @@ def test_a_traced_number_out_of_range_is_a_status(cup: jaxform.Scene) -> None:
         ({"temperature": cooling(np.ones(3))}, r"fields\.temperature\.initial.*one at each node"),
         ({"thickness": cooling(1.0)}, "cannot be a field's name"),
         ({"a b": cooling(1.0)}, "cannot be a field's name"),
+        ({"contact_duration_plug": cooling(1.0)}, "cannot be a field's name"),
         ({"temperature": Short()}, r"fields\.temperature: starts with values of shape \(3,\)"),
         ({"temperature": 3.0}, r"fields\.temperature.*is not a field"),
         ({"temperature": cooling(-300.0)}, r"fields\.temperature\.initial.*at least -273\.15"),
