@@ -242,7 +242,7 @@ def sheet_on_slope(slope: float, friction: float, end_time: float) -> jaxform.Sc
 
 
 def measure_drift() -> Figures:
-    """How far a sheet below the cone of friction moves in a hundred thousand steps."""
+    """The way of a sheet below the cone of friction in a hundred thousand steps."""
     trial, steps = _run(sheet_on_slope(0.2999, 0.3, 10.0)), 101_000
     scene = sheet_on_slope(0.2999, 0.3, 10.0 * steps / int(trial.steps))
     result = _run(scene)
