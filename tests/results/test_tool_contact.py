@@ -241,7 +241,7 @@ def test_how_long_nodes_have_touched_each_tool() -> None:
     record.offer(1.0, lambda: at(1.0, free, [-1.0] * 4))
     record.offer(3.0, lambda: at(3.0, held, [2.0] * 4))
     record.offer(3.5, lambda: pytest.fail("too soon after the last record"))
-    # Of the time since the last record half is counted, until the node came to a tool again.
+    # Half the time since the last record is counted, until the node came to a tool again.
     then = at(5.0, [0, -1, 1, 0], [2.0, -1.0, 4.0, 4.5])
     np.testing.assert_allclose(record.durations(then), [[3.0, 0.0], [2.0, 0.0], [1.5, 1.0], [2.25, 0.0]])
     record.offer(5.0, lambda: then)
