@@ -127,6 +127,7 @@ def test_of_a_bottle_with_a_wall_the_outside_is_taken() -> None:
         np.testing.assert_allclose(other, one, rtol=2e-3)
 
 
+@pytest.mark.long
 @pytest.mark.quick
 def test_half_is_completed_and_lies_as_the_whole() -> None:
     whole, half = find_bottle(_square()), find_bottle(meshes.weld(_bottle("half")))
