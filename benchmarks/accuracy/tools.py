@@ -304,7 +304,7 @@ def plug_and_blow(
     sheet, warm = _disc(elements), None if cooling is None else 140.0
     flat = plugs.flat_plug()
     lowered = np.asarray(flat.vertices) - [0.0, 0.0, 0.05]
-    way = jaxform.make_motion([0, 0, 1], [0.0, 10.0], [0.0, 0.65])
+    way = jaxform.make_motion([0, 0, 1], [0.0, 1.0, 10.0], [0.0, 0.04, 0.65])  # it comes to the sheet after 1
     return jaxform.build_scene(
         parison=jaxform.make_parison(
             sheet.positions, sheet.triangles, THICKNESS, sheet.clamped, sheet.fixed, temperature=warm
@@ -329,7 +329,7 @@ def gradient_errors(scene: jaxform.Scene) -> dict[str, float]:
     paths = {"way": "motion.displacement", "timing": "motion.time", "friction": "contact.friction"}
     numbers = {name: number_at(scene, f"tools.plug.{path}") for name, path in paths.items()}
     ways = {name: (name, value) for name, value in numbers.items()}
-    ways["position"] = "way", jnp.full_like(numbers["way"], 0.6)  # a plug that is higher all the time
+    ways["position"] = "way", jnp.full_like(numbers["way"], 0.6).at[0].set(0.0)  # from before it comes to the sheet on
 
     def objective(numbers: dict[str, jax.Array]) -> jax.Array:
         changes = {f"tools.plug.{paths[name]}": value for name, value in numbers.items()}
