@@ -155,7 +155,10 @@ def test_a_tool_cools_by_its_own_numbers_or_by_those_of_the_mold() -> None:
     others = [_plug(temperature=60.0, heat_transfer=5.0), _plug(name="second", translate=[0.06, 0.0, -0.001])]
     tables = _tables(others, cooling=cooling)
     tables["parison"]["temperature"] = 140.0
-    scene = files.build_unchecked(files.validate_scene(tables, "s.toml", Path(".")))
+    document = files.validate_scene(tables, "s.toml", Path("."))
+    scene = files.build_unchecked(document)
+    (line,) = [one for one in check_command.scene_lines(document, scene, Store()) if "cools the sheet" in one]
+    assert line.startswith("the tool plug") and line.endswith(": temperature 60 degC, heat transfer 5 W/(m² K)")
     assert scene.tool_warmth is not None
     own, general = [tuple(map(float, warmth)) for warmth in scene.tool_warmth]
     assert own == (5.0, 60.0) and general == (500.0, 40.0)
