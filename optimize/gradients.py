@@ -10,6 +10,8 @@ from optimize.designs import Point
 
 # Steps in the search's numbers, tried until one agrees: large ones meet other decisions, small ones rounding errors.
 _SIZES, _AGREES = (1e-3, 1e-4, 1e-5, 1e-6), 1e-7
+# Where all of these disagree by more than this, the value may jump between designs that near: smaller ones are tried.
+_SMALL_SIZES, _DISAGREES = (1e-7, 1e-8, 1e-9), 1e-2
 
 
 def slope_within(free: np.ndarray, gradient: np.ndarray, reach: np.ndarray) -> np.ndarray:
@@ -34,7 +36,9 @@ def gradient_error(point: Point, reach: np.ndarray, values: Callable[[list[np.nd
     near = margin < 2.0 * _SIZES[0] * np.abs(direction)
     direction = np.where(near, -np.sign(point.free) * np.abs(direction), direction)
     slope, differences = float(point.gradient @ direction), []
-    for size in _SIZES:
+    for size in (*_SIZES, *_SMALL_SIZES):
+        if size == _SMALL_SIZES[0] and np.nanmin(differences) < _DISAGREES:
+            break
         central = bool(np.all(margin >= size * np.abs(direction)))
         steps = (1.0, -1.0) if central else (1.0, 2.0)
         one, two = values([point.free + step * size * direction for step in steps])

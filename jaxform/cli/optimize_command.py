@@ -64,7 +64,7 @@ def optimize_study(arguments: argparse.Namespace) -> int:
                 bar(len(ended) / study.starts, f"{len(ended)} of {study.starts} starts")
 
         def on_check(error: float) -> None:
-            say(f"gradient along one direction: relative difference to central differences {error:.1e}")
+            say(f"gradient along one direction: relative difference to central differences {error:.1e}{_doubt(error)}")
 
         def on_warning(sentence: str) -> None:
             arguments.warned.append(sentence)
@@ -131,6 +131,19 @@ def _interruption_words(folder: Path) -> str:
     if not count:
         return "interrupted before anything was recorded"
     return f"interrupted; {count} evaluations are recorded: resume with --resume"
+
+
+_DOUBTFUL = 1e-3  # relative difference of a gradient to differences
+
+
+def _doubt(error: float) -> str:
+    """A clause on a gradient that differs from differences; empty where it does not."""
+    if error <= _DOUBTFUL:
+        return ""
+    return (
+        "; the objective may jump between designs very near to each other, where nodes land in another order: "
+        "the gradient is then the slope between two jumps, not that of a larger change"
+    )
 
 
 def _start_words(row: dict[str, Any]) -> str:

@@ -175,6 +175,25 @@ def test_the_check_of_a_gradient_on_a_bound_stays_inside() -> None:
     assert np.abs(asked).max() <= 2.0
 
 
+def test_the_check_of_a_gradient_finds_the_slope_between_jumps() -> None:
+    """A value that rises by 1 between jumps and falls by 1 over them, which are 1e-6 apart."""
+
+    def value(free: np.ndarray) -> float:
+        place = float(free[0] - free[1])
+        return place - 2e-6 * np.floor(place / 1e-6)
+
+    free, reach = np.array([0.1, 0.2 + 5e-7]), np.full(2, 2.0)
+    right, wrong = (
+        gradient_error(
+            Point(free, value(free), slope * np.array([1.0, -1.0])),
+            reach,
+            lambda designs: [value(one) for one in designs],
+        )
+        for slope in (1.0, 1.1)
+    )
+    assert right < 1e-6 and wrong > 0.05
+
+
 def test_a_damped_step_within_bounds_is_the_least_of_the_model() -> None:
     """A model of two numbers that are coupled: cut at the bound, the other one takes the best that is left."""
     matrix, gradient = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-3.0, -3.0])
