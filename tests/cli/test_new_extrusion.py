@@ -128,7 +128,6 @@ def test_of_a_bottle_with_a_wall_the_outside_is_taken() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.quick
 def test_half_is_completed_and_lies_as_the_whole() -> None:
     whole, half = find_bottle(_square()), find_bottle(meshes.weld(_bottle("half")))
     np.testing.assert_allclose([half.length, half.neck, half.area], [whole.length, whole.neck, whole.area], rtol=1e-6)

@@ -18,7 +18,9 @@ import jaxform
 import optimize
 from jaxform import molds, shapes
 from jaxform.io import files, output, scene_rewriting
+from jaxform.mechanics.elements import Nodes
 from jaxform.mesh import meshes
+from jaxform.sheet import heat
 from tests import scenes
 from tests.scenes import real
 
@@ -210,6 +212,15 @@ def test_the_air_is_as_warm_as_the_reference_says_where_a_file_does_not_say(tmp_
     with pytest.warns(jaxform.InputWarning, match="no mold"):
         cooling = files.load(tmp_path / "scene.toml").cooling
     assert cooling is not None and float(cooling.air_temperature) == float(cooling.mold_temperature) == 20.0
+
+
+def test_an_element_touches_by_the_share_of_its_nodes_and_of_the_time() -> None:
+    """Of its nodes one touches all the time, one half of it, one later; of the other element one node alone touches."""
+    since, wall = jnp.asarray([0.0, 1.0, 2.5, 0.0]), jnp.asarray([1, -2, 3, 0], jnp.int32)
+    nodes = Nodes(jnp.zeros((3, 4)), jnp.zeros((3, 4)), wall != 0, since, wall, None, {})
+    triangles, end = jnp.asarray([[0, 0], [1, 3], [2, 3]]), jnp.full(2, 2.0)
+    np.testing.assert_allclose(heat._contact_share(nodes, triangles, jnp.zeros(2), end, None), [0.5, 1.0 / 3.0])
+    np.testing.assert_allclose(heat._contact_share(nodes, triangles, end, end, None), [1.0, 1.0 / 3.0])
 
 
 def test_below_a_shift_the_sheet_is_glass() -> None:
