@@ -215,7 +215,7 @@ def test_the_air_is_as_warm_as_the_reference_says_where_a_file_does_not_say(tmp_
 
 
 def test_an_element_touches_by_the_share_of_its_nodes_and_of_the_time() -> None:
-    """Of its nodes one touches all the time, one half of it, one later; of the other element one node alone touches."""
+    """One node touches all the time, one half of it, one later; of the other element one node alone touches."""
     since, wall = jnp.asarray([0.0, 1.0, 2.5, 0.0]), jnp.asarray([1, -2, 3, 0], jnp.int32)
     nodes = Nodes(jnp.zeros((3, 4)), jnp.zeros((3, 4)), wall != 0, since, wall, None, {})
     triangles, end = jnp.asarray([[0, 0], [1, 3], [2, 3]]), jnp.full(2, 2.0)
