@@ -180,9 +180,8 @@ def _part_words(words: str, part: Part) -> str:
     result = restrict_to_part(part[1], part[0])[0]
     wall = wall_statistics(result)
     return (
-        f"{words}: coefficient of variation {100 * wall['cv']:.3g} %, wall minimum {1e3 * wall['min']:.3g}, maximum "
-        f"{1e3 * wall['max']:.3g} mm, "
-        f"{1e3 * float(result.mass):.3g} g"
+        f"{words}: coefficient of variation {100 * wall['cv']:.3g} %\n"
+        f"wall minimum {1e3 * wall['min']:.3g}, maximum {1e3 * wall['max']:.3g} mm, {1e3 * float(result.mass):.3g} g"
     )
 
 
