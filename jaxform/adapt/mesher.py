@@ -117,7 +117,7 @@ def _remesh_once(sheet: Sheet, size: Array, lines: tuple[Index, Index] = _NONE) 
     points, triangles, edges, references = _call_mmg(sheet, size, edge, reference.ravel(), required)
     if len(pairs):
         triangles = _join_nodes(
-            points, triangles, np.asarray(KDTree(points).query(sheet.positions[pairs])[1], np.int64)
+            points, triangles, np.asarray(KDTree(points).query(sheet.positions[pairs])[1], np.int64), _SLIVER
         )
     return _held_sheet(sheet, _Boundary(edge, kinds, reference.ravel()), points, triangles, edges, references)
 
@@ -308,7 +308,7 @@ def _cut_chords(points: Array, triangles: Index, edges: Index, clamped: Mask) ->
     return topology.split_edges(points, triangles, chords, points[chords].mean(1))
 
 
-_LEFT = 0.3  # of the area of a triangle, which it keeps when its nodes move
+_LEFT = 0.3  # of the area of a triangle, or of two, which each keeps when nodes move: slivers have short steps
 
 
 def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
@@ -339,7 +339,7 @@ def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
         if (np.sum(new * normal[own], axis=1) < _LEFT * square[own]).any():
             points[node] = last
     there = (points == places).all(1)
-    triangles = _join_nodes(points, np.asarray(sheet.triangles, np.int64), pairs[there[pairs].all(1)])
+    triangles = _join_nodes(points, np.asarray(sheet.triangles, np.int64), pairs[there[pairs].all(1)], _LEFT)
     return replace(sheet, positions=points, triangles=triangles.astype(np.int32), fields=_carried_fields(sheet, points))
 
 
@@ -420,8 +420,8 @@ def _insert_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> tuple[S
     return made, np.append(size, old.at(size, added)), there
 
 
-def _join_nodes(points: Array, triangles: Index, pairs: Index) -> Index:
-    """The triangles with edges between pairs of nodes (m, 2), where it takes no more than to turn the edge between."""
+def _join_nodes(points: Array, triangles: Index, pairs: Index, least: float) -> Index:
+    """The triangles with edges between pairs of nodes (m, 2), where turning the edge between leaves no sliver."""
     triangles = triangles.copy()
     kept = {(int(min(pair)), int(max(pair))) for pair in pairs}
     for a, b in kept:
@@ -433,17 +433,21 @@ def _join_nodes(points: Array, triangles: Index, pairs: Index) -> Index:
             c, d = int(triangles[one][(k + 1) % 3]), int(triangles[one][(k + 2) % 3])
             other = [n for n in of_b if {c, d} <= set(triangles[n].tolist())]
             new = np.array([[a, c, b], [a, b, d]])
-            if other and (min(c, d), max(c, d)) not in kept and _turn_alike(points, new, triangles[[one, other[0]]]):
+            if (
+                other
+                and (min(c, d), max(c, d)) not in kept
+                and _turn_alike(points, new, triangles[[one, other[0]]], least)
+            ):
                 triangles[[one, other[0]]] = new
                 break
     return triangles
 
 
-def _turn_alike(points: Array, new: Index, old: Index) -> bool:
-    """True if new triangles (2, 3) are on the same side as the old ones, and none is a sliver."""
+def _turn_alike(points: Array, new: Index, old: Index, least: float) -> bool:
+    """True if new triangles (2, 3) are on the same side as the old ones, each at least a share of their area."""
     normals = [np.cross(points[t[:, 1]] - points[t[:, 0]], points[t[:, 2]] - points[t[:, 0]]) for t in (new, old)]
     total = normals[1].sum(0)
-    return bool((normals[0] @ total > _SLIVER * (total @ total)).all())
+    return bool((normals[0] @ total > least * (total @ total)).all())
 
 
 class _Division:
