@@ -35,7 +35,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.long
 def test_the_site_takes_nothing_from_elsewhere(site: Path) -> None:
     pages = list(site.rglob("*.html"))
     assert len(pages) > 20
@@ -59,7 +58,6 @@ def test_the_reference_names_every_public_name() -> None:
         assert not set(module.__all__) - left_out[module.__name__] - shown
 
 
-@pytest.mark.long
 def test_the_site_shows_formulas_notebooks_and_every_public_name(site: Path) -> None:
     import jaxform
     import optimize

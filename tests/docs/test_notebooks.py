@@ -35,7 +35,6 @@ def _assert_notebooks_run(names: list[str], folder: Path) -> None:
         assert _pictures(made) == _pictures(kept) >= 2
 
 
-@pytest.mark.long
 def test_the_first_notebook_runs_and_shows_what_the_committed_one_shows(tmp_path: Path) -> None:
     _assert_notebooks_run(NAMES[:1], tmp_path)
 

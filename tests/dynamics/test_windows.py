@@ -134,7 +134,6 @@ def _weigh(
 _slopes = jax.jit(jax.value_and_grad(_weigh, argnums=(0, 1), has_aux=True), static_argnames="adjoint")
 
 
-@pytest.mark.long
 def test_every_loop_takes_the_same_windows_and_all_derivatives_agree(
     cup: jaxform.Scene, cup_result: jaxform.Result
 ) -> None:
