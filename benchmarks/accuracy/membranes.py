@@ -70,7 +70,9 @@ def free_disc(alpha: float, pole_stretch: float) -> Disc:
 
 def limit_point(alpha: float = 0.0) -> float:
     """The largest pressure that a disc bears; NaN where there is none below a pole stretch of 3."""
-    found = minimize_scalar(lambda stretch: -free_disc(alpha, stretch).pressure, bounds=(1.5, 3.0), method="bounded")
+    found: Any = minimize_scalar(
+        lambda stretch: -free_disc(alpha, stretch).pressure, bounds=(1.5, 3.0), method="bounded"
+    )
     return -float(found.fun)
 
 
