@@ -243,7 +243,9 @@ def start_energy(state: State, scene: Scene, active: ActiveSet, volume: jax.Arra
     """
     packed = active.pack_state(state)
     nodal = _present_force(packed, scene, active, present_pressure(state, scene, volume).pressure)
-    return _start_energy(nodal, scene, active, ~packed.nodes.stuck)
+    # A tool bears the force on nodes that slide on it.
+    free = ~packed.nodes.stuck & (packed.nodes.wall == 0)
+    return _start_energy(nodal, scene, active, free)
 
 
 def _start_energy(nodal: Any, scene: Scene, active: ActiveSet, counted: jax.Array) -> jax.Array:

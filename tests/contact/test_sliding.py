@@ -454,7 +454,6 @@ def test_no_node_passes_a_tool_that_moves(seed: int) -> None:
     assert tools.deepest(scene, result) < 1e-12
 
 
-@pytest.mark.long
 def test_a_refined_sheet_slides_on_a_plug() -> None:
     # New nodes between those that the plug touched at the start lie on it only where they are on it now.
     refinement = jaxform.make_refinement(angle=6.0, max_level=2, interval=64, elements=800)

@@ -104,7 +104,6 @@ def _own_sphere(pressure: float, air: float, end: float) -> np.ndarray:
     return found.y[[0, 2], -1]
 
 
-@pytest.mark.long
 def test_a_sphere_that_stiffens_as_it_cools() -> None:
     """Rubber with Maxwell's modes under a rising pressure: stretch, temperature, and the balance of energy."""
     modes = jaxform.Maxwell(jnp.asarray(MODULUS), jnp.asarray(TIME))

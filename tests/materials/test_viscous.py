@@ -113,7 +113,6 @@ def _maxwell_sphere(pressure: float, times: list[float]) -> np.ndarray:
     return found.y[0]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", scenes.short_first(KINDS))
 def test_a_sphere_under_a_step_of_pressure(kind: Any) -> None:
     """Its swing and its creep, and the balance of energy."""
