@@ -19,6 +19,7 @@ import jaxform
 from benchmarks.accuracy.cases import THICKNESS, mooney, rms
 from jaxform import molds
 from jaxform.mesh.shapes import Sheet
+from jaxform.mesh.volumes import areas
 
 Array = NDArray[np.float64]
 Wall = Callable[[Array], Array]
@@ -200,7 +201,7 @@ _PARTS = 12  # into which a side of an element is cut, for a mean over it
 def wall_errors(scene: jaxform.Scene, result: jaxform.Result, wall: Wall) -> WallErrors:
     """Errors of the elements, which have the mean of the sheet's area stretch over them, against an exact wall."""
     corners = np.asarray(scene.parison.positions)[np.asarray(result.triangles)]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = areas(np.asarray(scene.parison.positions), np.asarray(result.triangles))
     i, j = np.mgrid[:_PARTS, :_PARTS]
     inside = [np.stack([i + share, j + share])[:, i + j < _PARTS - k] for k, share in enumerate((1 / 3, 2 / 3))]
     two = np.concatenate(inside, axis=1) / _PARTS

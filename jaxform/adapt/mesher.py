@@ -445,7 +445,7 @@ def _join_nodes(points: Array, triangles: Index, pairs: Index, least: float) -> 
 
 def _turn_alike(points: Array, new: Index, old: Index, least: float) -> bool:
     """True if new triangles (2, 3) are on the same side as the old ones, each at least a share of their area."""
-    normals = [np.cross(points[t[:, 1]] - points[t[:, 0]], points[t[:, 2]] - points[t[:, 0]]) for t in (new, old)]
+    normals = [topology.doubled_normals(points, triangles) for triangles in (new, old)]
     total = normals[1].sum(0)
     return bool((normals[0] @ total > least * (total @ total)).all())
 

@@ -234,19 +234,24 @@ def test_gradients_through_edge_contact(build: Callable[[int], jaxform.Scene]) -
     np.testing.assert_allclose(slope, difference, rtol=1e-5)
 
 
+def _on_sheet(known: jaxform.Scene, sheet: Sheet) -> jaxform.Scene:
+    """A scene with another sheet, which is as thick everywhere."""
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, WALL, sheet.clamped, sheet.fixed),
+        material=known.material,
+        pressure=known.pressure,
+        solver=known.solver,
+        mold=known.mold,
+        fill=False,
+    )
+
+
 def test_nodes_beside_a_ridge_are_moved_and_every_element_has_the_exact_wall() -> None:
     known, worst, places = blown(16), [], strip(16).positions
     fixed = np.tile([False, True, False], (34, 1))
     sheet = Sheet(np.asarray(places), np.asarray(known.parison.triangles), np.asarray(known.parison.clamped), fixed)
     for _ in range(2):
-        scene = jaxform.build_scene(
-            parison=jaxform.make_parison(sheet.positions, sheet.triangles, WALL, sheet.clamped, fixed),
-            material=known.material,
-            pressure=known.pressure,
-            solver=known.solver,
-            mold=known.mold,
-            fill=False,
-        )
+        scene = _on_sheet(known, sheet)
         result = jaxform.run(scene)
         middle = sheet.positions[sheet.triangles][..., 0].mean(1)
         exact = np.where(middle < RIDGE, exact_wall(RIDGE), exact_wall(LENGTH - RIDGE))
@@ -289,16 +294,7 @@ def test_a_mesh_adapted_to_the_ridge_has_a_node_there_and_the_exact_wall_in_ever
     sheet = Sheet(positions, triangles.astype(np.int32), clamped, fixed)
 
     def run(sheet: Sheet) -> tuple[jaxform.Scene, jaxform.Result, float]:
-        parison = jaxform.make_parison(sheet.positions, sheet.triangles, WALL, sheet.clamped, sheet.fixed)
-        known = blown(16)
-        scene = jaxform.build_scene(
-            parison=parison,
-            material=known.material,
-            pressure=known.pressure,
-            solver=known.solver,
-            mold=known.mold,
-            fill=False,
-        )
+        scene = _on_sheet(blown(16), sheet)
         result = jaxform.run(scene)
         assert int(result.status) == 0
         middle = np.asarray(result.reference)[np.asarray(result.triangles)][..., 0].mean(1)
