@@ -11,12 +11,16 @@ from scipy.optimize import brentq
 
 import jaxform
 from jaxform.adapt import mesher
+from jaxform.contact import edge_contact
+from jaxform.contact.broad_phase import TEST_BLOCK, NearSides
 from jaxform.contact.edge_contact import HeldSides, no_held_sides
 from jaxform.core.pytree import as_real
 from jaxform.dynamics import window_state
 from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.topology import sharp_edges
 from jaxform.results import size_field
+from jaxform.tools.surface_walk import ContactSurface
+from tests import scenes
 
 DOME = [[0.06 * np.sin(angle), 0.06 * np.cos(angle)] for angle in np.linspace(0.0, 0.5 * np.pi, 7)]
 LENGTH, RIDGE, WALL, MODULUS = 0.1, 0.0347, 1e-3, 0.2e6
@@ -157,6 +161,42 @@ def wedge_scene(count: int, way: float = 0.02) -> jaxform.Scene:
         tools=[jaxform.make_mold(*wedge(2e-4), motion=motion, name="plug")],
         fill=False,
     )
+
+
+@pytest.mark.parametrize("overhang", [0.4, 0.6])
+def test_a_side_with_a_node_in_contact_is_held_where_less_than_half_of_it_hangs_over_the_edge(overhang: float) -> None:
+    """A side of 1 m lies on a block with one end and beyond its edge with the other, which falls by 0.11 m."""
+    vertices = np.array([[0.0, -1, 0], [0, 1, 0], [-2, 0, 0], [0, 0, -2]])
+    mold = jaxform.make_mold(vertices, np.array([[0, 1, 2], [1, 0, 3]]))
+    edges = jnp.asarray(sharp_edges(vertices, np.asarray(mold.triangles)))
+    before = jnp.asarray([[overhang - 1.0, 0, 0], [overhang, 0, 0.01]]).T
+    after = before.at[2, 1].set(-0.1)
+    scene = blown(8)
+    nodes = scenes.begin_run(scene)[0].nodes
+    stuck, zero = jnp.zeros_like(nodes.stuck).at[0].set(True), jnp.zeros(2)
+    pairs = jnp.zeros(TEST_BLOCK, jnp.int32)
+    near = NearSides(jnp.stack([pairs, pairs + 1]), pairs, jnp.int32(1), before, zero, jnp.asarray(False))
+    paths = edge_contact.SidePaths(tuple(after), tuple(after), after - before, jnp.ones(()), None)
+    grid = scene.tables.grid
+    assert grid is not None
+    surface = ContactSurface(mold, grid)
+    held = no_held_sides(4, before.dtype)
+    found = edge_contact.find_held_sides(
+        held, near, paths, dataclasses.replace(nodes, stuck=stuck), surface, edges, 0, jnp.int32(0)
+    )
+    assert int(found.count) == (overhang < 0.5)
+
+    # The same rule lets a side go that was held before its other end came into contact.
+    number, share = jnp.int32(1), held.share.at[0].set(1.0 - overhang)
+    known = dataclasses.replace(held, ends=held.ends.at[1, 0].set(1), share=share, step=held.step.at[0].set(0))
+    at_rest = edge_contact.values_at_points(jnp.zeros((3, 2)), known)
+    stuck = stuck[:2]
+    compliance = jnp.where(stuck, 0.0, jnp.ones((3, 2)))
+    moved = edge_contact.hold_sides(
+        tuple(after), jnp.zeros((3, 2)), at_rest, known, compliance, stuck, jnp.ones(()), (at_rest, at_rest), number,
+        differentiable=True,
+    )  # fmt: skip
+    np.testing.assert_allclose(moved.positions[2], [0.0, 0.0 if overhang < 0.5 else -0.1], atol=1e-6)
 
 
 @pytest.mark.long
@@ -330,8 +370,8 @@ def test_a_scene_without_sharp_edges_is_the_same_program_and_says_so() -> None:
 
     with pytest.warns(UserWarning, match="has no effect: no tool that the sheet sticks to has a sharp edge"):
         edged = build(edge_contact=True)
-    scenes = [build(edge_contact=False), edged]
-    one, other = (jax.tree.flatten(scene) for scene in scenes)
+    built = [build(edge_contact=False), edged]
+    one, other = (jax.tree.flatten(scene) for scene in built)
     assert one[1] == other[1]
     assert all(np.array_equal(a, b) for a, b in zip(one[0], other[0], strict=True))
 

@@ -15,12 +15,10 @@ from scipy import integrate
 
 import jaxform
 from benchmarks.accuracy import cases
-from jaxform.adapt import remeshing
 from jaxform.io import files
 from jaxform.materials import Modes
 from jaxform.mechanics import constitutive, corners, membrane
 from jaxform.mechanics.elements import allocate_corner_forces
-from jaxform.sheet.discretization import first_mesh
 from tests import scenes
 from tests.scenes import real
 
@@ -252,26 +250,28 @@ def _cup(kind: Any) -> jaxform.Scene:
 def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
     """Under one strain of the whole sheet a part has the stress that it would have had from the first."""
     scene = scenes.refinable(jaxform.shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 64)
-    adaptivity = scene.adaptivity
-    assert adaptivity is not None
-    (_, forest), before = adaptivity, first_mesh(scene, adaptivity)
-    wanted = jnp.asarray([0, 5], jnp.int32)
-    split_at, queue = remeshing.close_queue(before.split_at, wanted, jnp.int32(2), forest, jnp.int32(0))
-    after = dataclasses.replace(remeshing.bisect_mesh(before, queue, forest), split_at=split_at)
-    again = jnp.asarray([2 * 5 + forest.root_count], jnp.int32)
-    split_at, queue = remeshing.close_queue(after.split_at, again, jnp.int32(1), forest, jnp.int32(0))
-    last = remeshing.bisect_mesh(after, queue, forest)
-    used = int(last.element_count)
-    assert used > int(after.element_count) > int(before.element_count)
+    scene = dataclasses.replace(scene, material=_law(kind))
+    assert scene.adaptivity is not None
+    _, forest = scene.adaptivity
+    state, sheet = scenes.begin_run(scene)
     moved = jnp.asarray([[1.3, 0.2, 0.0], [-0.1, 0.9, 0.0], [0.3, 0.4, 1.0]]) @ scene.parison.positions.T
 
     def measure(mesh: Any) -> jax.Array:
         triangles, inverse = forest.sheet.triangles[:, mesh.element], forest.sheet.inverse_metric[:, mesh.element]
         g = membrane.metric(*membrane.edges(moved, triangles)[1:])
-        return jnp.stack(kind.measure(constitutive.strain_state(g, inverse)))
+        return jnp.stack(2 * kind.measure(constitutive.strain_state(g, inverse)))
 
-    found = remeshing.inherit_stress(measure(before), *remeshing.find_ancestry(before, last, forest))
-    np.testing.assert_allclose(found[:, :used], measure(last)[:, :used], rtol=1e-10, atol=1e-10)
+    positions = state.nodes.positions.at[:, : moved.shape[1]].set(moved)
+    before = dataclasses.replace(state.replace_nodes(positions=positions), memory=measure(state.refined_mesh))
+    roots = before.refined_mesh.element
+    once, body = scenes.bisect_scene(scene, before, sheet, (roots == 0) | (roots == 5))
+    twice, _ = scenes.bisect_scene(scene, once, body, once.refined_mesh.element == 2 * 5 + forest.root_count)
+    first, second, third = (int(state.refined_mesh.element_count) for state in (before, once, twice))
+    assert first < second < third
+    for after, used in ((once, second), (twice, third)):
+        assert after.memory is not None
+        expected = measure(after.refined_mesh)[:, :used]
+        np.testing.assert_allclose(after.memory[:, :used], expected, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("kind", scenes.short_first(KINDS))
