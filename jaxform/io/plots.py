@@ -352,6 +352,8 @@ def column(history: Sequence[Mapping[str, Any]], name: str) -> Array:
 
 _ARROW = 0.08  # of what is drawn, an arrow of the pressure is long
 _MOVED = 0.02  # of the farthest displacement: a tool that moved as much less again is not where it was farthest
+_LEVELS = 25  # places across the sheet at which the depth of the mold is looked at
+_DEEPER = 1.25  # times the mean depth of the mold in the middle, for a cut elsewhere
 _MUCH = 8.0  # times as large as the sheet, a mold leaves a dot of it
 
 
@@ -378,14 +380,14 @@ def check_picture(
 
 
 def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
-    """Sheet and mold where a plane through the sheet's middle cuts them; arrows show where the pressure pushes."""
+    """Sheet and mold where a plane cuts them, at the deepest cavity; arrows show where the pressure pushes."""
     from matplotlib.collections import LineCollection
 
     push = int(np.argmax(np.abs(seen.push))) if seen.faces else 2
     low, high = seen.sheet
     across = max((k for k in range(3) if k != push), key=lambda k: high[k] - low[k])
     axis = 3 - push - across
-    middle = 1e3 * 0.5 * (low + high)[axis]
+    middle = 1e3 * _deepest_level(scene, seen, axis, across)
     level = middle + 0.1 * box_size(seen.sheet)  # mm and m: a ten-thousandth beside the nodes in the middle
     sheet = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
     lines = [("sheet", SHEET, 2.5, "-", 1e3 * np.concatenate(mirror_points(scene, sheet)))]
@@ -396,7 +398,7 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
         axes.add_collection(collection)
     of_sheet = cuts[0][-1]
     axes.autoscale()
-    _draw_push(axes, of_sheet.mean(1), [across, push], seen)
+    _draw_push(axes, of_sheet, seen, [across, push])
     if seen.mold is not None and box_size(seen.mold) > _MUCH * box_size(seen.sheet) and len(of_sheet):
         dot = of_sheet.mean((0, 1))
         axes.plot(*dot[:, None], "o", color=SHEET, ms=5)
@@ -438,22 +440,63 @@ def _farthest(motion: Motion, end: float) -> Array:
     return far[int(np.argmax(before))] * np.asarray(motion.direction, float)
 
 
-def _draw_push(axes: Any, middle: Array, plane: list[int], seen: Survey) -> None:
-    """Some arrows from places (n, 2) [mm] on the sheet, in the plane of two axes, along the push."""
-    if not len(middle):
+def _deepest_level(scene: Scene, seen: Survey, axis: int, across: int) -> float:
+    """Coordinate [m] of the plane across an axis that cuts the deepest cavities: the middle if it is nearly as deep.
+
+    A web between the cavities of a tray may be in the middle, where the mold is flat.
+    """
+    low, high = seen.sheet
+    middle = float(0.5 * (low + high)[axis])
+    if scene.mold is None or scene.motion is not None or not seen.faces or 2 in (axis, across):
+        return middle
+    ahead = np.sign(seen.push[2])
+    faces = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
+    shares = (0.5 + np.arange(_LEVELS)) / _LEVELS
+    levels = (low + shares[:, None] * (high - low))[:, axis] + 1e-4 * box_size(seen.sheet)
+    places = (low + shares[:, None] * (high - low))[:, across]
+    start = float(ahead * (high if ahead > 0 else low)[2])
+    depths = np.array(
+        [_mean_depth(sections.cut_triangles(faces, axis, at)[..., [across, 2]], places, ahead, start) for at in levels]
+    )
+    at_middle = depths[_LEVELS // 2]
+    return middle if depths.max() <= _DEEPER * at_middle else float(levels[int(np.argmax(depths))])
+
+
+def _mean_depth(cut: Array, places: Array, ahead: float, start: float) -> float:
+    """Mean depth [m] of a mold's cut (n, 2, 2) before places (m,) of the sheet, which lies at a height `start`.
+
+    Places without mold before them have no depth.
+    """
+    cut = np.take_along_axis(cut, np.argsort(cut[..., :1], axis=1), axis=1)
+    begin, end = cut[:, 0, None], cut[:, 1, None]
+    width = np.where(end[..., 0] > begin[..., 0], end[..., 0] - begin[..., 0], 1.0)
+    height = ahead * (begin[..., 1] + (places - begin[..., 0]) / width * (end[..., 1] - begin[..., 1])) - start
+    hit = (begin[..., 0] <= places) & (places < end[..., 0]) & (height >= -1e-9)
+    depth = np.where(hit, height, np.inf).min(0, initial=np.inf)
+    return float(np.where(np.isfinite(depth), depth, 0.0).mean())
+
+
+def _draw_push(axes: Any, cut: Array, seen: Survey, plane: list[int]) -> None:
+    """Some arrows from the cut (n, 2, 2) [mm] of a sheet, in the plane of two axes, along the push.
+
+    A sheet that is not pushed along one direction is pushed across its cut, away from the middle or towards it.
+    """
+    if not len(cut):
         return
+    middle, along = cut.mean(1), cut[:, 1] - cut[:, 0]
     order = np.argsort(middle[:, 0])
-    some = middle[order[np.linspace(0, len(order) - 1, 9).round().astype(int)[1:-1]]]
+    some = order[np.linspace(0, len(order) - 1, 9).round().astype(int)[1:-1]]
     size = box_size(seen.sheet)
     if seen.mold is not None and box_size(seen.mold) < _MUCH * size:
         size = box_size(seen.mold)
     if seen.faces:
         way = np.tile((seen.push / np.linalg.norm(seen.push))[plane], (len(some), 1))
     else:
-        away = some - middle.mean(0)
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-        way = away if seen.outwards else -away
-    tip = some + _ARROW * 1e3 * size * way
-    for begin, end in zip(some, tip, strict=True):
+        across = along[some][:, ::-1] * [1.0, -1.0]
+        away = np.sign(np.sum(across * (middle[some] - middle.mean(0)), axis=1, keepdims=True))
+        way = away * across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+        way = way if seen.outwards else -way
+    tip = middle[some] + _ARROW * 1e3 * size * way
+    for begin, end in zip(middle[some], tip, strict=True):
         axes.annotate("", end, begin, arrowprops={"arrowstyle": "->", "color": AFTER, "lw": 1.4})
     axes.update_datalim(tip)

@@ -14,7 +14,6 @@ from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.part import restrict_to_part
 from jaxform.results.result import Result
-from jaxform.tools.crossings import nodal_normals
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import split_long_triangles
 
@@ -28,6 +27,7 @@ _TOOL_COLORS = ("#b5651d", "#7b4fa3", "#2e8b57", "#c2185b")
 _MOLD_LINES = 2000  # triangles, above which a mold's outline is not drawn
 _MOLD_PIECES = 20  # of its size, along a large triangle of the mold
 _FLAT = 1e-3  # of the sheet's size: one that is as flat has a side that faces the mold
+_FACING = 0.05  # of its area, the least by which a curved sheet faces along z
 _TOO_LARGE = 2.5  # times as large as the part, a mold is left out
 
 
@@ -83,10 +83,25 @@ def _split_covers(mold: DrawnSurface, covers: NDArray[np.bool_]) -> list[DrawnSu
 
 
 def hangs_before(scene: Scene) -> bool:
-    """True if a sheet that a moving mold or tools meet is drawn with z down: a buck is below it, and a plug above."""
+    """True if a sheet before the run is drawn with z down: a flat one over its tools, a preform with its neck on top.
+
+    A cavity opens upwards then, a buck is below the sheet, and a plug above.
+    """
+    flat = bool(scene.surfaces) and _is_flat(scene)
+    return _push_along_z(scene) > (0.0 if flat else _FACING if scene.motion is not None or scene.tools else 1.0)
+
+
+def _is_flat(scene: Scene) -> bool:
+    start = np.asarray(scene.parison.positions, float)
+    return bool(np.ptp(start[:, 2]) <= _FLAT * np.ptp(start, axis=0).max())
+
+
+def _push_along_z(scene: Scene) -> float:
+    """Direction in which the strongest pressure pushes the initial sheet: 1 along +z, -1 along -z, 0 of a tube."""
     corners = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
-    along = nodal_normals(*corners)[:, 2].sum() * scene.strongest_push()
-    return bool((scene.motion is not None or scene.tools) and along > 0)
+    normals = topology.doubled_normals(*corners)
+    share = normals[:, 2].sum() / np.linalg.norm(normals, axis=1).sum()
+    return float(share * np.sign(scene.strongest_push()))
 
 
 def mirror_points(scene: Scene, points: Array, open_front: bool = False) -> list[Array]:
@@ -118,9 +133,9 @@ def _hangs(scene: Scene, result: Result) -> bool:
     """
     start = np.asarray(scene.parison.positions, float)
     rise = (np.asarray(result.positions, float) - start)[:, 2].mean()
-    if scene.surfaces and np.ptp(start[:, 2]) <= _FLAT * np.ptp(start, axis=0).max():
-        along = nodal_normals(start, np.asarray(scene.parison.triangles))[:, 2].sum() * scene.strongest_push()
-        return bool(along > 0 if along else rise < 0)
+    if scene.surfaces and _is_flat(scene):
+        along = _push_along_z(scene)
+        return along > 0 if along else bool(rise < 0)
     return bool(np.asarray(scene.parison.clamped).any() and rise > 0 and sections.symmetry_planes(scene))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from jaxform import InputWarning, molds, shapes
 from jaxform.io import files, plots
 from jaxform.io.canvas import new_figure
 from jaxform.io.scene_checks import survey, warn_of_scene
-from jaxform.mesh import meshes
+from jaxform.mesh import grids, meshes
 from tests import scenes
 
 pytestmark = pytest.mark.quick
@@ -223,6 +224,13 @@ end_time = 1.0
 """
 
 
+def _cut(scene: jaxform.Scene) -> Any:
+    """Axes with the cut of a scene's picture."""
+    axes = new_figure(8, 7.5, "").add_axes((0.1, 0.1, 0.8, 0.8))
+    plots._draw_cut(axes, scene, survey(scene))
+    return axes
+
+
 @pytest.mark.parametrize(
     ("gap", "way", "far", "warned"),
     [(0.001, 1.0, 0.05, True), (0.02, 2.0, 0.03, True), (0.001, -1.0, 0.05, False), (0.02, -1.0, 0.3, False)],
@@ -240,11 +248,61 @@ def test_a_mold_that_moves_off_is_warned_of_and_where_it_ends_is_drawn(
     assert len(told) == warned
     if warned:
         assert f"{gap:.3g} m from the sheet at first, {gap + far:.3g} m at 0.5 s" in told[0] and str(file) in told[0]
-    figure = new_figure(8, 7.5, "")
-    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
-    plots._draw_cut(axes, scene, survey(scene))
+    axes = _cut(scene)
     drawn = {line.get_label(): np.concatenate(line.get_segments()) for line in axes.collections}
     shift = drawn["mold at the end"] - drawn["mold"]
     np.testing.assert_allclose(shift, np.broadcast_to([0.0, 1e3 * far * np.sign(way)], shift.shape), atol=1e-6)
     # The buck is below the sheet, though z is up in the scene.
     assert axes.yaxis_inverted()
+
+
+_TRAY = """
+[parison]
+shape = "rectangle"
+size = [0.12, 0.1]
+element_size = 0.01
+thickness = 1e-3
+[material]
+model = "neo-hookean"
+c = 1e5
+density = 1000.0
+[pressure]
+time = [0.0, 1.0]
+value = [0.0, 1e4]
+[mold]
+shape = "file"
+path = "tray.stl"
+[solver]
+end_time = 1.0
+"""
+
+
+@pytest.mark.parametrize(("pockets", "level"), [(((0.02, 0.04), (0.06, 0.08)), 30.0), (((0.03, 0.07),), 50.0)])
+def test_a_tray_is_cut_through_its_pockets(
+    tmp_path: Path, pockets: tuple[tuple[float, float], ...], level: float
+) -> None:
+    """Not along the web between them; where the middle is as deep, there. The cavity opens upwards in the picture."""
+    x, y = np.meshgrid(np.linspace(-0.01, 0.13, 57), np.linspace(-0.01, 0.11, 49), indexing="ij")
+    deep = np.any([(y > low) & (y < high) for low, high in pockets], axis=0) & (x > 0.02) & (x < 0.1)
+    points = np.stack([x, y, np.where(deep, 0.03, 0.0)], axis=-1).reshape(-1, 3)
+    meshes.write_stl(tmp_path / "tray.stl", points, grids.union_jack(56, 48))
+    (tmp_path / "tray.toml").write_text(_TRAY)
+    axes = _cut(jaxform.load(tmp_path / "tray.toml"))
+    assert abs(float(axes.get_title().split()[-2]) - level) <= 10.0
+    mold = {line.get_label(): np.concatenate(line.get_segments()) for line in axes.collections}["mold"]
+    np.testing.assert_allclose([mold[:, 1].min(), mold[:, 1].max()], [0.0, 30.0], atol=1e-4)
+    assert axes.yaxis_inverted()
+
+
+def test_arrows_of_the_pressure_stand_on_a_tube(tmp_path: Path) -> None:
+    """They are the normals of its wall, whatever its length."""
+    sheet = 'shape = "tube"\nradius = 0.02\nlength = 0.2\nelement_size = 0.01\n'
+    text = sheet.join(_TRAY.split('shape = "rectangle"\nsize = [0.12, 0.1]\nelement_size = 0.01\n'))
+    text = text[: text.index("[mold]")] + text[text.index("[solver]") :]
+    (tmp_path / "tube.toml").write_text(text)
+    axes = _cut(jaxform.load(tmp_path / "tube.toml"))
+    arrows = np.array([np.subtract(arrow.xy, arrow.xyann) * np.sign(arrow.xyann) for arrow in axes.texts])
+    assert len(arrows) == 7
+    np.testing.assert_allclose(arrows[:, 1], 0.0, atol=1e-6)
+    assert np.all(arrows[:, 0] > 10.0)
+    assert not axes.yaxis_inverted()
