@@ -104,7 +104,7 @@ def begin_run(scene: Scene) -> tuple[State, Discretization]:
 
 
 def at_rest(scene: Scene) -> Result:
-    """The part before the first step; by programs for all scenes of its rungs."""
+    """The part before the first step; by programs for all scenes of its bucket sizes."""
     room = pad_to_bucket(scene)
     state, sheet = begin_run(room.scene)
     return room.result(host.result_of(state, room.scene, sheet))

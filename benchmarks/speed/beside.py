@@ -123,7 +123,7 @@ def show(
     assert scene.mold is not None
     print(f"  {len(scene.parison.triangles)} elements, {len(scene.mold.triangles)} mold triangles", flush=True)
     _, check = run_timed("check, beside loading", lambda: list(check_command.scene_lines(document, scene, Store())))
-    _, roomy = run_timed("arrays of their rungs", lambda: padding.pad_to_bucket(scene, recorded=True))
+    _, roomy = run_timed("padded arrays", lambda: padding.pad_to_bucket(scene, recorded=True))
     result = become(jaxform.run(scene))
     _, through = run_timed("penetration", lambda: measure_penetration(result, scene))
     _, apart = run_timed("gaps", lambda: measure_filling(result, scene))

@@ -98,7 +98,7 @@ def _whole(scene: Scene, store: Store) -> Callable[[], Any]:
 
 def show_room() -> None:
     """Prints the cost of unused capacity at the begin and end of a bucket; runs alternate."""
-    print("a run in the room of its rung over one in arrays as long as it needs", flush=True)
+    print("time of a run in padded arrays over that in arrays of its own size", flush=True)
     for elements in (520, 1020, 1080, 2350, 2430):
         scene, store = dish(0.05, 70.0, elements), Store()
         room = padding.pad_to_bucket(scene, recorded=True).scene
@@ -151,7 +151,7 @@ def _command(source: str, cache: Path, out: Path) -> tuple[float, dict[str, Any]
 
 
 def show_command() -> None:
-    """The command: cold, then warm, beside its steps; then other scenes whose rungs are known."""
+    """The command: cold, then warm, beside its steps; then other scenes whose bucket sizes are known."""
     print("`jaxform simulate`, whole process less its steps [s]: cold, then the best of three warm", flush=True)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)

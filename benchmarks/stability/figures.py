@@ -212,7 +212,7 @@ def ringing(steps: int, shape: str = "small sphere", law: Law | None = None, pre
     loading = jaxform.make_pressure([0.0], [pressure])
     scene = scene_of(sheet, law or mooney(0.1), loading, end_time=10.0)
     _, after = next(windows(scene))
-    return scene_of(sheet, law or mooney(0.1), loading, end_time=steps * float(after.control.rung))
+    return scene_of(sheet, law or mooney(0.1), loading, end_time=steps * float(after.control.base_length))
 
 
 def measure_drift(scene: Scene, steps: int, points: int = 200) -> Found:

@@ -36,8 +36,8 @@ from jaxform.sheet.discretization import (
     Discretization,
     RefinedMesh,
     element_levels,
-    node_room,
     refined_discretization,
+    refined_node_capacity,
 )
 from jaxform.sheet.energy_balance import enclosed_volume, kinetic_energy, strain_energy
 from jaxform.sheet.scheme import start_energy, synchronize_velocity
@@ -101,14 +101,14 @@ def refine_in_place(
         state, body = _bisect_queue(
             state, scene, adaptivity, body, *_requested_queue(state, body, adaptivity, scene), active
         )
-        idle = active.idle
-        if idle is not None and state.memory is not None:
-            idle = dataclasses.replace(idle, stress=state.memory[:, idle.element], since=state.time)
-        return active.pack_state(state), body, (state.memory, idle, state.heat)
+        inactive = active.inactive
+        if inactive is not None and state.memory is not None:
+            inactive = dataclasses.replace(inactive, stress=state.memory[:, inactive.element], since=state.time)
+        return active.pack_state(state), body, (state.memory, inactive, state.heat)
 
-    before = state, discrete, (active.memory, active.idle, active.heat)
-    state, discrete, (memory, idle, heat) = lax_cond_once(_is_due(state, adaptivity), refine_now, before)
-    return state, discrete, dataclasses.replace(active, memory=memory, idle=idle, heat=heat)
+    before = state, discrete, (active.memory, active.inactive, active.heat)
+    state, discrete, (memory, inactive, heat) = lax_cond_once(_is_due(state, adaptivity), refine_now, before)
+    return state, discrete, dataclasses.replace(active, memory=memory, inactive=inactive, heat=heat)
 
 
 def _is_due(state: State | PackedState, adaptivity: Adaptivity) -> jax.Array:
@@ -176,8 +176,8 @@ def fitted(scene: Scene, used: int) -> Scene:
 
 def _enlarge(adaptivity: Adaptivity, blocks: int) -> Adaptivity:
     elements, (limits, forest) = blocks * BLOCK, adaptivity
-    nodes = node_room(elements, forest.first_nodes, forest.owner.size)
-    return dataclasses.replace(limits, elements=elements), dataclasses.replace(forest, node_room=nodes)
+    nodes = refined_node_capacity(elements, forest.first_nodes, forest.owner.size)
+    return dataclasses.replace(limits, elements=elements), dataclasses.replace(forest, node_capacity=nodes)
 
 
 def _replace_adaptivity(scene: Scene, adaptivity: Adaptivity) -> Scene:
@@ -189,7 +189,7 @@ def enlarge_capacity(scene: Scene, adaptivity: Adaptivity, state: State) -> tupl
     """A scene with twice the capacity for elements, and the state as it was before the capacity was exceeded."""
     (limits, _), mesh = adaptivity, state.refined_mesh
     more = _enlarge(adaptivity, capacities.refined_capacity(2 * limits.elements) // BLOCK)
-    elements, nodes = more[0].elements, more[1].node_room
+    elements, nodes = more[0].elements, more[1].node_capacity
     beyond = _pad(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
     grown = dataclasses.replace(
         mesh,
@@ -211,7 +211,7 @@ def _pad(values: jax.Array, count: int) -> jax.Array:
 
 
 def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> jax.Array:
-    """Mask (element_room,) of the elements to bisect for their own and their neighbours' shape."""
+    """Mask (element_capacity,) of the elements to bisect for their own and their neighbours' shape."""
     state, discrete, adaptivity, scene = jax.lax.stop_gradient((state, discrete, adaptivity, scene))
     (limits, forest), mesh, frame = adaptivity, state.refined_mesh, None
     if scene.mold is not None:

@@ -29,7 +29,7 @@ class ReverseWindow(NamedTuple):
     Attributes:
         scene: The scene.
         packed: Elements and nodes in packed order.
-        thickness: Initial thickness of the elements (room,) [m].
+        thickness: Initial thickness of the elements (capacity,) [m].
         material: Material model, whose varying parameters have a value for each element.
         mass: Lumped mass of the nodes (place,) [kg].
         compliance: Mobility over mass (3, place) [1/kg].

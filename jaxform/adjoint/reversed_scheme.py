@@ -196,7 +196,7 @@ def _pull_back_window(kept: _WindowResiduals, cotangents: Cotangents, end: State
     scene, begun = kept.scene, cotangents.of[0]
     discrete = present_discretization(scene, kept.mesh, kept.first)
     packed = pack_moving(kept.stuck if kept.immobile is None else kept.immobile, kept.mesh, scene, discrete)
-    timing, longest = (kept.time, kept.before, kept.length), scene.tables.window_room
+    timing, longest = (kept.time, kept.before, kept.length), scene.tables.step_capacity
     (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing, longest), scene.pressure)
     number = jnp.arange(longest)
     taken = number < kept.count
@@ -222,20 +222,20 @@ def _pull_back_window(kept: _WindowResiduals, cotangents: Cotangents, end: State
     work = end.account.external_work
     after = jnp.where(number == kept.count - 1, end.account.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
-    idle, pull_idle = jax.vjp(lambda positions: inactive_volume(positions, scene, discrete, packed), kept.end)
+    inactive, pull_inactive = jax.vjp(lambda positions: inactive_volume(positions, scene, discrete, packed), kept.end)
     gravity, fall, weight = scene.solver.gravity, end.account.gravity_work, None
     if gravity is not None and fall is not None:
         # Gravity's work is force times displacement in the window: the force at its end, less that at its begin.
         weight = fall * discrete.mass * gravity[:, None]
         end = end.replace_nodes(positions=end.nodes.positions + weight)
     back = _reverse_steps(kept, now, cotangents, end, volume, mean)
-    nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + idle, prepend=kept.volume)
+    nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + inactive, prepend=kept.volume)
     if back.rim is not None and kept.rim is not None:
         gains += back.rim[:-1].at[0].set(kept.rim)
     gains = jnp.where(taken, work * gains, 0.0)
 
     put, of = cotangents.put, cotangents.of
-    positions, mass = packed.unpack(nodes.positions) + pull_idle(jnp.sum(volume))[0], packed.unpack(nodes.mass)
+    positions, mass = packed.unpack(nodes.positions) + pull_inactive(jnp.sum(volume))[0], packed.unpack(nodes.mass)
     if gravity is not None and fall is not None and weight is not None and nodes.gravity is not None:
         displacement = kept.end - packed.unpack(nodes.at)
         positions, mass = positions - weight, mass + fall * (gravity @ displacement)
@@ -274,7 +274,7 @@ def _pull_back_window(kept: _WindowResiduals, cotangents: Cotangents, end: State
 
 
 def _scatter_sums(values: jax.Array, element: jax.Array, like: jax.Array) -> jax.Array:
-    """Sums (..., n_element) of values (..., room) of elements with these numbers."""
+    """Sums (..., n_element) of values (..., capacity) of elements with these numbers."""
     return jnp.zeros_like(like).at[..., element].add(values)
 
 
@@ -289,7 +289,7 @@ class _ReverseState(NamedTuple):
         pressing: Cotangents of the pressure at each step and after the last (steps + 1,).
         volumes: Volume enclosed by the active elements, at the same steps [m^3].
         law: Cotangents of the material parameters that do not vary over the sheet, by name.
-        zones: Cotangents of those that vary (..., room), by name; empty before the last step.
+        zones: Cotangents of those that vary (..., capacity), by name; empty before the last step.
         rim: Volume swept by the rim in each step [m^3]; None without moving rims.
     """
 
@@ -333,7 +333,7 @@ def _reverse_steps(
     first = Load(positions, now.thickness, now.pressure[0], now.material)
     mold = scene.mold
     vertices = mold.vertices if mold is not None and cotangents.want(of[1].mold.vertices) else None
-    at_every_step = jnp.zeros(scene.tables.window_room + 1, real)
+    at_every_step = jnp.zeros(scene.tables.step_capacity + 1, real)
     landed = jnp.where(now.landing_step < 0, NEVER, now.landing_step)
     lands = jnp.zeros(at_every_step.size, bool).at[landed].set(True, mode="drop")
     last = _ReverseState(

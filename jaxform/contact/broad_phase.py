@@ -207,8 +207,8 @@ class NearSides:
     """Pairs of a side and a sharp edge of one surface that can meet, while nodes stay in their spheres.
 
     Attributes:
-        ends: Places of the side's ends (2, room).
-        edge: Numbers of the edges (room,).
+        ends: Places of the side's ends (2, capacity).
+        edge: Numbers of the edges (capacity,).
         count: Number of pairs.
         center: Centers of the spheres (3, n_node) [m], in the frame of the tool.
         square: Their radii, squared (n_node,) [m^2]; infinite for nodes that stick.
@@ -257,13 +257,13 @@ class Candidates:
 def allocate_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_NODE) -> CandidateLists:
     """Workspace for the list of so many nodes; it has a margin, since whole blocks are written."""
     least = max(pairs_per_node * node_count, _LEAST_ROOM * pairs_per_node // PAIRS_PER_NODE)
-    room = -(-least // TEST_BLOCK) * TEST_BLOCK
-    coarse = jnp.zeros(_CANDIDATES * room + LANES * DEPTH, jnp.int32)
-    pairs = jnp.zeros(room + TEST_BLOCK, jnp.int32)
+    capacity = -(-least // TEST_BLOCK) * TEST_BLOCK
+    coarse = jnp.zeros(_CANDIDATES * capacity + LANES * DEPTH, jnp.int32)
+    pairs = jnp.zeros(capacity + TEST_BLOCK, jnp.int32)
     return CandidateLists(
         node=pairs,
         triangle=pairs,
-        planes=jnp.zeros((12, room + TEST_BLOCK), real),
+        planes=jnp.zeros((12, capacity + TEST_BLOCK), real),
         coarse=(coarse, coarse),
         spheres=(
             jnp.zeros((5, node_count), real),

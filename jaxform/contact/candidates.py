@@ -296,16 +296,16 @@ def _search_pairs(
         return (found.attempts == 0) | (found.too_expensive | is_full(found)) & (found.attempts < _MOST_ATTEMPTS)
 
     def attempt(found: _SearchState) -> _SearchState:
-        room = *found.spheres, found.clear[None]
-        arrays, clear, looks = bounding_spheres(nodes, ahead, found.attempts, grid, skip_far, blocks, room)
+        workspace = *found.spheres, found.clear[None]
+        arrays, clear, looks = bounding_spheres(nodes, ahead, found.attempts, grid, skip_far, blocks, workspace)
         worth = ahead.steps_in_attempt(found.attempts) * BLOCK * blocks
         dear = (_WORTH * looks > worth) & (found.attempts < ahead.halvings)
 
         def examine(found: _SearchState) -> _SearchState:
             spheres = BoundingSpheres.from_lists(found.spheres)
             coarse = _coarse_pairs(spheres, grid, found.coarse, blocks)
-            last, room = jnp.minimum(coarse.count, most), (found.pairs, found.planes, found.clear)
-            kept, planes, clear = _filter_pairs(coarse, last, nodes[0], spheres, grid, *room)
+            last, workspace = jnp.minimum(coarse.count, most), (found.pairs, found.planes, found.clear)
+            kept, planes, clear = _filter_pairs(coarse, last, nodes[0], spheres, grid, *workspace)
             return found._replace(coarse=coarse, pairs=kept, planes=planes, clear=clear)
 
         attempts = found.attempts + 1

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.sliding import ContactLosses, LyingNodes, mobile_components, on_surface
+from jaxform.contact.sliding import ContactLosses, SlideInput, mobile_components, on_surface
 from jaxform.kernels.blocks import materialize
 from jaxform.mechanics.elements import Nodes
 from jaxform.mechanics.membrane import Vector, cross, dot, minus, vector
@@ -74,7 +74,7 @@ def begin_facets(nodes: Nodes, compliance: jax.Array, surfaces: tuple[ContactSur
 
 
 def slide_within_facets(
-    nodes: LyingNodes,
+    nodes: SlideInput,
     known: KnownFacets,
     steps: tuple[jax.Array, jax.Array],
     surfaces: tuple[ContactSurface, ...],
@@ -108,7 +108,7 @@ def slide_within_facets(
     away = minus(end if offset is None else minus(end, offset), first)
     height, gamma, delta = materialize((dot(away, normal), dot(away, second), dot(away, third)))
     inside = (gamma >= -OUT) & (delta >= -OUT) & (gamma + delta <= 1.0 + OUT)
-    stays = materialize(nodes.lies & known.holds(nodes.wall, nodes.tool) & inside & (outward <= 0.0))
+    stays = materialize(nodes.sliding & known.holds(nodes.wall, nodes.tool) & inside & (outward <= 0.0))
     place = vector(x - height * q for x, q in zip(end, within, strict=True))
     moves = _moving(nodes.tool, surfaces, frames)
     losses = _losses(nodes, on_tool, normal, carrier, velocity_step, damping, moves)
@@ -116,7 +116,7 @@ def slide_within_facets(
 
 
 def _losses(
-    nodes: LyingNodes,
+    nodes: SlideInput,
     velocities: Vector,
     normal: Vector,
     carrier: Any,
@@ -140,7 +140,7 @@ def _losses(
     )
 
 
-def _limit_slip(along: Vector, push: jax.Array, nodes: LyingNodes, surfaces: tuple[ContactSurface, ...]) -> Vector:
+def _limit_slip(along: Vector, push: jax.Array, nodes: SlideInput, surfaces: tuple[ContactSurface, ...]) -> Vector:
     """The slip (n,) by the contact law of the surface that each node lies on, three times (n,) [m/s]."""
     slip = along
     for number, surface in enumerate(surfaces):

@@ -1,4 +1,4 @@
-"""Contact without sticking: nodes that lie on a tool, slide by its contact law, and leave it where it would pull."""
+"""Contact without sticking: nodes slide on a tool by its contact law, and leave it where it would have to pull them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from jaxform.tools.surface_walk import ContactSurface, Glide, facets, move_along
 _CLEAR = 4.0  # times the distance at which a node touches: where one that leaves a surface begins
 
 
-class LyingNodes(NamedTuple):
-    """Nodes (n,) before a step of which some lie on tools, and the step as if nothing touched them.
+class SlideInput(NamedTuple):
+    """Nodes (n,) before a step in which some slide on tools, and the same step without contact.
 
     Attributes:
         positions, velocities: Before the step, three times (n,) [m], [m/s].
@@ -26,7 +26,7 @@ class LyingNodes(NamedTuple):
         mass: [kg].
         mobile: 1 where a component may change, else 0, three times (n,).
         wall, tool: Contact triangle and tool, as in `Nodes`.
-        lies: True for nodes that lie on a tool and do not stick to it.
+        sliding: True for nodes that touch a tool and do not stick to it.
         temperature: As in `Nodes`.
     """
 
@@ -38,16 +38,18 @@ class LyingNodes(NamedTuple):
     mobile: Vector
     wall: jax.Array
     tool: jax.Array | None
-    lies: jax.Array
+    sliding: jax.Array
     temperature: jax.Array | None = None
 
     @classmethod
-    def of(cls, nodes: Nodes, free: Any, nodal: Any, masses: tuple[jax.Array, Any], lies: jax.Array) -> LyingNodes:
+    def of(cls, nodes: Nodes, free: Any, nodal: Any, masses: tuple[jax.Array, Any], sliding: jax.Array) -> SlideInput:
         """From nodes before the step, free velocities and forces, three times (n,), and mass and compliance."""
         before = vector(nodes.positions), vector(nodes.velocities)
         mass, compliance = masses
         mobile = mobile_components(compliance)
-        return cls(*before, vector(free), vector(nodal), mass, mobile, nodes.wall, nodes.tool, lies, nodes.temperature)
+        return cls(
+            *before, vector(free), vector(nodal), mass, mobile, nodes.wall, nodes.tool, sliding, nodes.temperature
+        )
 
 
 def mobile_components(compliance: Any) -> Vector:
@@ -101,8 +103,8 @@ class SlideResult(NamedTuple):
     distance: jax.Array
 
 
-def lying_nodes(stuck: jax.Array, wall: jax.Array) -> jax.Array:
-    """Nodes (n,) that lie on a tool without sticking to it."""
+def sliding_nodes(stuck: jax.Array, wall: jax.Array) -> jax.Array:
+    """Nodes (n,) that touch a tool without sticking to it, as a mask."""
     return ~stuck & (wall != 0)
 
 
@@ -112,7 +114,7 @@ def on_surface(tool: jax.Array | None, number: int) -> jax.Array | bool:
 
 
 def slide_nodes(
-    nodes: LyingNodes,
+    nodes: SlideInput,
     steps: tuple[jax.Array, jax.Array],
     surfaces: tuple[ContactSurface, ...],
     frames: tuple[ToolFrame | None, ...],
@@ -139,22 +141,22 @@ def slide_nodes(
         moved,
         nodes.free,
         nodes.wall,
-        nodes.lies & False,
-        nodes.lies & False,
+        nodes.sliding & False,
+        nodes.sliding & False,
         ContactLosses(none, none, none, none),
         none,
     )
     for number, (surface, frame) in enumerate(zip(surfaces, frames, strict=True)):
         if surface.mold.contact.sticks:
             continue
-        here = nodes.lies & on_surface(nodes.tool, number)
+        here = nodes.sliding & on_surface(nodes.tool, number)
         own = _slide_on(nodes, here, steps, surface, frame, damping, differentiable=differentiable)
         found = jax.tree.map(lambda new, old, here=here: jnp.where(here, new, old), own, found)
     return found
 
 
 def _slide_on(
-    nodes: LyingNodes,
+    nodes: SlideInput,
     here: jax.Array,
     steps: tuple[jax.Array, jax.Array],
     surface: ContactSurface,
@@ -232,7 +234,7 @@ def _within_planes(far: jax.Array, normal: Vector, mobile: Vector) -> Vector:
 
 
 def _losses(
-    nodes: LyingNodes,
+    nodes: SlideInput,
     velocities: Vector,
     normal: Vector,
     carrier: Vector,

@@ -100,7 +100,7 @@ def apply_contact(
     candidates: Sequence[Candidates],
     surfaces: tuple[ContactSurface, ...],
     known: Sequence[jax.Array],
-    room: FirstHits,
+    workspace: FirstHits,
     curve: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
 ) -> tuple[Landing, FirstHits]:
     """Moves the nodes that crossed a surface in this step to where they met it; not differentiable.
@@ -115,14 +115,14 @@ def apply_contact(
         candidates: Candidates of each surface.
         surfaces: The surfaces.
         known: Nodes in contact with each surface, from `touches_already`.
-        room: Workspace for the first hits, from `no_hits`. It is returned unchanged.
+        workspace: Workspace for the first hits, from `no_hits`. It is returned unchanged.
         curve: `ContactStep.curve` of a node, from its number and velocity (3, 1); None where paths are straight.
     """
     count = sum(count for _, count in due)
     return lax_cond_once(
         jnp.asarray(count) > 0,
         lambda both: _place_hit_nodes(*both, now, mass, candidates, due, surfaces, known, curve),
-        (landing, room),
+        (landing, workspace),
     )
 
 
@@ -281,7 +281,7 @@ def _update_hits(found: FirstHits, block: tuple[jax.Array, jax.Array, jax.Array,
 
 def _place_hit_nodes(
     landing: Landing,
-    room: FirstHits,
+    workspace: FirstHits,
     now: ContactStep,
     mass: tuple[jax.Array, jax.Array | None],
     candidates: Sequence[Candidates],
@@ -291,7 +291,7 @@ def _place_hit_nodes(
     curve: Callable[[jax.Array, jax.Array], jax.Array] | None,
 ) -> tuple[Landing, FirstHits]:
     """The landing of the nodes that met a surface, one after the other, since they are few; not differentiable."""
-    nodes, met = landing.nodes, room
+    nodes, met = landing.nodes, workspace
     for number, (surface, first) in enumerate(zip(surfaces, first_numbers(surfaces), strict=False)):
         path_ends = functools.partial(_path_ends, nodes, now.length, now.frames[number])
         touch = touch_distance(surface.grid)

@@ -40,49 +40,49 @@ FAR = 1e4  # of the sheet's size: at such coordinates the run is diverging
 
 
 def update_broad_phase(
-    moving: WindowState, scene: Scene, data: WindowData, candidates: Sequence[Candidates]
+    current: WindowState, scene: Scene, data: WindowData, candidates: Sequence[Candidates]
 ) -> WindowState:
     """Checks for each surface, every few steps, whether nodes are close to it or will be until the next check.
 
     A node that becomes so much faster in between that contact may be missed is found by the next check, or at the
     list's end.
     """
-    nodes = moving.nodes
+    nodes = current.nodes
 
     def check_again(last: tuple[BroadPhaseCheck, ...]) -> tuple[BroadPhaseCheck, ...]:
-        till_next = jnp.minimum(LOOK_EVERY, data.max_count - moving.count) * data.length
+        till_next = jnp.minimum(LOOK_EVERY, data.max_count - current.count) * data.length
         count, found = data.active.packed.elements.node_block_count, []
         for number, listed in enumerate(candidates):
-            frame = _present_frame(moving, scene, data, number)
+            frame = _present_frame(current, scene, data, number)
             state = jax.lax.stop_gradient((nodes.positions, nodes.velocities, nodes.stuck, till_next, listed))
             close, missed = check_nodes(*state, last[number], count, frame)
             found.append((close | data.always_check, missed))
         return tuple(found)
 
-    due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
-    seen = lax_cond_once(due, check_again, moving.last_checks)
+    due = (current.count > 0) & (current.count % LOOK_EVERY == 0) & ~current.halted
+    seen = lax_cond_once(due, check_again, current.last_checks)
     # Read before they are written (docs/explanation/kernels.md).
     seen, positions, velocities = materialize((seen, nodes.positions, nodes.velocities))
     return dataclasses.replace(
-        moving, check=seen, nodes=dataclasses.replace(nodes, positions=positions, velocities=velocities)
+        current, check=seen, nodes=dataclasses.replace(nodes, positions=positions, velocities=velocities)
     )
 
 
-def to_tool_frame(moving: WindowState, scene: Scene, data: WindowData, number: int) -> tuple[Any, jax.Array]:
+def to_tool_frame(current: WindowState, scene: Scene, data: WindowData, number: int) -> tuple[Any, jax.Array]:
     """Present positions [m] and velocities [m/s], in the frame of the surface where it moves."""
-    positions, velocities = moving.nodes.positions, moving.nodes.velocities
-    frame = _present_frame(moving, scene, data, number)
+    positions, velocities = current.nodes.positions, current.nodes.velocities
+    frame = _present_frame(current, scene, data, number)
     if frame is None:
         return positions, velocities
     return frame.places(positions), jnp.stack(frame.speeds(velocities))
 
 
-def _present_frame(moving: WindowState, scene: Scene, data: WindowData, number: int) -> ToolFrame | None:
+def _present_frame(current: WindowState, scene: Scene, data: WindowData, number: int) -> ToolFrame | None:
     """The frame of a surface in the last step, not differentiable; None where the surface rests."""
     motion = scene.surfaces[number].mold.motion
     if motion is None:
         return None
-    time = data.begin + moving.count * data.length
+    time = data.begin + current.count * data.length
     return jax.lax.stop_gradient(motion.frame(time - data.length, time))
 
 
@@ -129,7 +129,7 @@ def _velocity_change(
 
     The velocities before the step have been overwritten.
     """
-    (velocity_step, length), slots, corners = steps, data.active.packed.elements.slots, moved.room
+    (velocity_step, length), slots, corners = steps, data.active.packed.elements.slots, moved.corners
     assert corners is not None
 
     def change(node: jax.Array, velocity: jax.Array) -> jax.Array:
@@ -209,11 +209,11 @@ def _apply_landing(moved: WindowState, landing: sticking.Landing) -> WindowState
     )
 
 
-def any_missed(moving: WindowState, candidates: Sequence[Candidates], scene: Scene, data: WindowData) -> jax.Array:
+def any_missed(current: WindowState, candidates: Sequence[Candidates], scene: Scene, data: WindowData) -> jax.Array:
     """True where, at the end of a list, a node may have missed a surface."""
     missed = jnp.asarray(False)
-    for number, (listed, seen) in enumerate(zip(candidates, moving.last_checks, strict=True)):
-        frame = _present_frame(moving, scene, data, number)
+    for number, (listed, seen) in enumerate(zip(candidates, current.last_checks, strict=True)):
+        frame = _present_frame(current, scene, data, number)
 
         def work(
             positions: Any, stuck: jax.Array, sphere: tuple[jax.Array, ...], seen: Any = seen, frame: Any = frame
@@ -221,7 +221,7 @@ def any_missed(moving: WindowState, candidates: Sequence[Candidates], scene: Sce
             places = positions if frame is None else frame.places(positions)
             return [], [may_have_missed(places, stuck, sphere, seen)]
 
-        inputs = jax.lax.stop_gradient((moving.nodes.positions, moving.nodes.stuck, list_spheres(listed)))
+        inputs = jax.lax.stop_gradient((current.nodes.positions, current.nodes.stuck, list_spheres(listed)))
         _, (count,) = over_blocks(work, data.active.packed.elements.node_block_count, inputs, [], sums=1)
         missed = missed | seen[1] | (count > 0)
     return missed

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxform.contact import edge_contact
 from jaxform.contact.broad_phase import Candidates
 from jaxform.contact.edge_contact import HeldNodes, HeldSides, SidePaths
-from jaxform.contact.sliding import lying_nodes
+from jaxform.contact.sliding import sliding_nodes
 from jaxform.dynamics.window_state import WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once
 from jaxform.model.scene import Scene
@@ -29,21 +29,21 @@ def first_edges(scene: Scene) -> list[int]:
     return firsts
 
 
-def list_sides(listed: Candidates, moving: WindowState, scene: Scene, data: WindowData, number: int) -> Candidates:
+def list_sides(listed: Candidates, current: WindowState, scene: Scene, data: WindowData, number: int) -> Candidates:
     """The candidates of a surface, with the sides that can meet its sharp edges."""
     edges, mold = scene.tables.edges[number], scene.surfaces[number].mold
     if not edges.size:
         return listed
-    left = (data.max_count - moving.count) * data.length
+    left = (data.max_count - current.count) * data.length
     moved = 0.0 if mold.motion is None else left * mold.motion.highest_speed()
-    elements, stuck = data.active.packed.elements, moving.nodes.stuck
+    elements, stuck = data.active.packed.elements, current.nodes.stuck
     given = listed, stuck, elements.triangles, elements.area > 0.0, mold, edges, moved
     near = edge_contact.list_near_sides(*jax.lax.stop_gradient(given))
     return dataclasses.replace(listed, sides=near, overflow=listed.overflow | near.overflow)
 
 
 def hold_sides_at_edges(
-    moving: WindowState,
+    current: WindowState,
     moved: WindowState,
     steps: tuple[jax.Array, jax.Array],
     scene: Scene,
@@ -53,7 +53,7 @@ def hold_sides_at_edges(
     """The window state after a step, with the constraints of the sides that are held at edges of tools.
 
     Args:
-        moving: The window state before the step.
+        current: The window state before the step.
         moved: The window state after it, without these constraints.
         steps: Time step of the velocity update, and the step length [s].
         scene: The scene.
@@ -61,12 +61,12 @@ def hold_sides_at_edges(
         frames: Frames of the surfaces in the step.
     """
     velocity_step, length = steps
-    held, nodes, differentiable = moved.held, moved.nodes, moved.room is None
+    held, nodes, differentiable = moved.held, moved.nodes, moved.corners is None
     assert held is not None
     tools = _tools_of_edges(held.edge, scene)
     carrier = _carrier(tools, frames, held.point)
-    before = edge_contact.values_at_points(moving.nodes.velocities, held)
-    immovable = nodes.stuck | lying_nodes(nodes.stuck, nodes.wall) if scene.slides else nodes.stuck
+    before = edge_contact.values_at_points(current.nodes.velocities, held)
+    immovable = nodes.stuck | sliding_nodes(nodes.stuck, nodes.wall) if scene.slides else nodes.stuck
     zero = jnp.zeros((), nodes.velocities.dtype)
 
     def hold(free: HeldNodes) -> HeldNodes:
@@ -79,7 +79,7 @@ def hold_sides_at_edges(
             immovable,
             length,
             carrier,
-            moving.count,
+            current.count,
             differentiable=differentiable,
         )
 
@@ -99,7 +99,7 @@ def hold_sides_at_edges(
 
 
 def _tools_of_edges(edge: jax.Array, scene: Scene) -> jax.Array:
-    """The numbers of the tools (room,), as in `Scene.surfaces`, to which these edges belong."""
+    """The numbers of the tools (capacity,), as in `Scene.surfaces`, to which these edges belong."""
     tool = jnp.zeros_like(edge)
     for first in first_edges(scene)[1:-1]:
         tool = tool + (edge >= first)
@@ -107,7 +107,7 @@ def _tools_of_edges(edge: jax.Array, scene: Scene) -> jax.Array:
 
 
 def _carrier(tool: jax.Array, frames: Frames, like: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Displacement at the step's end [m] and velocity [m/s] of the tools of edges (3, room)."""
+    """Displacement at the step's end [m] and velocity [m/s] of the tools of edges (3, capacity)."""
     offset, speed, still = tool_offset(frames, tool), tool_velocity(frames, tool), jnp.zeros_like(like)
     return (still, still) if offset is None else (jnp.stack(offset), jnp.stack(speed))
 

@@ -30,7 +30,7 @@ from jaxform.sheet.discretization import element_law
 from jaxform.sheet.energy_balance import energy_rounding, present_pressure
 from jaxform.sheet.state import PackedState, can_move, clamp_is_open, immobile_nodes, next_stop, noise_vector
 
-RUNGS_PER_OCTAVE = 16
+LEVELS_PER_OCTAVE = 16
 _FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
 _NOISE = 0.1  # of what a thorough search begins with: else it is blind for modes that the last one lacks
 _MARGIN = 0.98  # for a mode that was missed all the same: what it does not bear (docs/stability.md), the safety does
@@ -41,14 +41,14 @@ _RISE = 1.02  # of that from one window to the next: where it seems to be more, 
 _WEAK_DAMPING = 5e-4, 2e-3  # of a velocity in a step: with less the step is that without damping, with more the whole
 _SWINGING = 5.0  # times over damping, until which a sheet swings that a clamp let go: to less than 1 % of the energy
 _GAIN, _MOST_SHORTENING = 1e-3, 4.0  # of the largest work: gained beyond that, the step is shorter in proportion
-_RISE_RUNGS = 15.5  # by how many the step rises again where nothing damps: between two, so that rounding decides none
+_RISE_LEVELS = 15.5  # by how many the step rises again where nothing damps: between two, so that rounding decides none
 LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
 _MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness that grows
 
 
 StepLimit = tuple[jax.Array | None, jax.Array, jax.Array, jax.Array]
-"""Data of the stable step, kept for the next window: `mode`, as in `Nodes`, and `bound`, `sharpness`, `rung`, as in
-`Control`."""
+"""Data of the stable step, kept for the next window: `mode`, as in `Nodes`, and `bound`, `sharpness`, `base_length`, as
+in `Control`."""
 
 
 StepChoice = tuple[jax.Array, jax.Array, StepLimit, Workspace | None]
@@ -64,7 +64,7 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
     The state is in packed order.
     """
     state, scene, active = jax.lax.stop_gradient((state, scene, active))
-    longest, limit, room = _limit(state, scene, active)
+    longest, limit, workspace = _limit(state, scene, active)
     longest = scene.solver.safety * longest
     damped = damped_share(longest, scene)
     if scene.parison.clamp_until is not None:
@@ -81,19 +81,21 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
             fastest, until = mold.motion.speed_from(state.time)
             speed, end = speed + fastest, jnp.minimum(end, until)
         longest = jnp.minimum(longest, range_per_step / jnp.maximum(speed, 1e-30))
-    rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
-    held = jnp.where(damped < 1.0, _hold_rung(rung, state, scene), rung)
-    limit, rung = (*limit[:3], held), held * jnp.exp2(-state.control.retries)
+    base_length = jnp.exp2(jnp.floor(jnp.log2(longest) * LEVELS_PER_OCTAVE) / LEVELS_PER_OCTAVE)
+    held = jnp.where(damped < 1.0, _hold_length(base_length, state, scene), base_length)
+    limit, base_length = (*limit[:3], held), held * jnp.exp2(-state.control.retries)
     rest = end - state.time
-    most = jnp.minimum(state.control.span, max_step_count(rung, scene))
-    if state.control.pace is not None:
-        cooling = jnp.maximum(state.control.pace * rung, jnp.finfo(rung.dtype).tiny)
+    most = jnp.minimum(state.control.window_steps, max_step_count(base_length, scene))
+    if state.control.cooling_rate is not None:
+        cooling = jnp.maximum(state.control.cooling_rate * base_length, jnp.finfo(base_length.dtype).tiny)
         most = jnp.clip(MOST_COOLING / cooling, 1, most).astype(most.dtype)
-    left = rest / rung
-    shared = _share_rest(rest, rung, most)
-    rung, most = (jnp.where(damped < 1.0, own, whole) for own, whole in zip(shared, (rung, most), strict=True))
-    most = jnp.clip(jnp.ceil(left), jnp.minimum(most, SHORT_WINDOW), most).astype(state.control.span.dtype)
-    return jax.lax.stop_gradient((jnp.minimum(rung, rest / most), most, limit, room))
+    left = rest / base_length
+    shared = _share_rest(rest, base_length, most)
+    base_length, most = (
+        jnp.where(damped < 1.0, own, whole) for own, whole in zip(shared, (base_length, most), strict=True)
+    )
+    most = jnp.clip(jnp.ceil(left), jnp.minimum(most, SHORT_WINDOW), most).astype(state.control.window_steps.dtype)
+    return jax.lax.stop_gradient((jnp.minimum(base_length, rest / most), most, limit, workspace))
 
 
 def _gain_factor(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:
@@ -140,28 +142,28 @@ def _share_rest(rest: jax.Array, step: jax.Array, most: jax.Array) -> tuple[jax.
     return jnp.where(shared, rest / jnp.maximum(left, 1), step), jnp.where(shared, count, most)
 
 
-def _hold_rung(rung: jax.Array, state: PackedState, scene: Scene) -> jax.Array:
-    """The rung [s] of a sheet that nothing damps: it falls with the limit, and rises by several rungs at once.
+def _hold_length(base_length: jax.Array, state: PackedState, scene: Scene) -> jax.Array:
+    """The base length [s] for an undamped sheet: it falls with the limit, and rises by several levels at once.
 
     Every change of the step changes the energy of the fast modes, which nothing takes away; and since the step falls
     where the sheet is stiff and rises where it is soft, a sheet that swings would gain energy in every period. So as
     long as nothing sticks to a tool and no tool moves, the step never rises. Where a gas fills a sheet that is damped,
     it rises, for a gas of little volume is much stiffer than that of the sheet when it has been blown up.
     """
-    before = state.control.rung
-    longer = (rung > before) & (before > 0.0)
-    rises = rung > jnp.exp2(_RISE_RUNGS / RUNGS_PER_OCTAVE) * before
+    before = state.control.base_length
+    longer = (base_length > before) & (before > 0.0)
+    rises = base_length > jnp.exp2(_RISE_LEVELS / LEVELS_PER_OCTAVE) * before
     if scene.moves or (scene.pressure.follows_volume and scene.solver.damping is not None):
         longer &= ~rises
     elif scene.surfaces:
         longer &= ~(rises & jnp.any(state.nodes.stuck & (state.nodes.wall != 0)))
-    return jnp.where(longer, before, rung)
+    return jnp.where(longer, before, base_length)
 
 
 def max_step_count(length: jax.Array, scene: Scene) -> jax.Array:
     """Maximum number of steps of a length [s] in a window: beyond a short one, no more than can be inverted."""
     longest, damping = jnp.int32(scene.tables.longest_window), scene.solver.damping
-    if damping is None or scene.tables.window_room <= SHORT_WINDOW:
+    if damping is None or scene.tables.step_capacity <= SHORT_WINDOW:
         return longest
     half = 0.5 * jax.lax.stop_gradient(damping) * length
     taken = jnp.log1p(half) - jnp.log1p(-jnp.minimum(half, 0.5))  # of a velocity's logarithm, in a step
@@ -193,23 +195,23 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
         return mode, sharpness, lost, lost, own
 
     known = state.control.sharpness > 0.0
-    room, elements = active.workspace, active.packed.elements
-    if room is None or room.basis is None:
+    workspace, elements = active.workspace, active.packed.elements
+    if workspace is None or workspace.basis is None:
         own = allocate_corner_forces(state.nodes.positions, elements), allocate_basis(begin.shape[1], begin.dtype)
     else:
-        own = room.corners, room.basis
+        own = workspace.corners, workspace.basis
     begun = begin, state.control.sharpness, ~known, jnp.asarray(True), own
     mode, sharpness, _, _, (corners, basis) = jax.lax.while_loop(lambda found: found[3], search, begun)
     # Growth of the stiffness so far stands for growth within the window, which may take more steps than the last.
     before, windows = (
         state.control.sharpness * state.control.bound,
-        state.control.span / jnp.maximum(state.control.last_count, 1),
+        state.control.window_steps / jnp.maximum(state.control.last_count, 1),
     )
     growth = (sharpness * bound / before) ** jnp.where(state.control.last_count > 0, windows, 1.0)
     growth = jnp.where(known, jnp.clip(growth, _MOST_GROWTH, 1.0), 1.0)
-    room = None if room is None else dataclasses.replace(room, corners=corners, basis=basis)
+    workspace = None if workspace is None else dataclasses.replace(workspace, corners=corners, basis=basis)
     longest = jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound
-    return longest, (mode, bound, sharpness, longest), room
+    return longest, (mode, bound, sharpness, longest), workspace
 
 
 def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:
@@ -306,11 +308,11 @@ def _highest_mode(
     scene: Scene,
     active: ActiveSet,
     thorough: jax.Array,
-    room: tuple[Corners, jax.Array],
+    workspace: tuple[Corners, jax.Array],
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array], tuple[Corners, jax.Array]]:
     """The mode (3, place), and its squared frequency [1/s^2] without the residual and with it, by Lanczos' method.
 
-    The method approaches the frequency from below, so the residual is added for an upper estimate. `room` has
+    The method approaches the frequency from below, so the residual is added for an upper estimate. `workspace` has
     workspaces for corner forces and Lanczos vectors, and is returned, too.
     """
     elements, places = active.packed.elements, active.mass.size
@@ -377,7 +379,7 @@ def _highest_mode(
     start = lax_cond_once(thorough, add_noise, jnp.where(compliance > 0.0, mode, 0.0))
     none, nowhere = jnp.zeros(_MANY, start.dtype), jnp.zeros_like(start)
     count = jnp.where(thorough, _MANY, _FEW)
-    corners, basis = room
+    corners, basis = workspace
     begun = _Lanczos(start, norm(start), nowhere, basis, none, none, nowhere, corners)
     done = jax.lax.fori_loop(0, count, multiply, begun)
     off = jnp.where(jnp.arange(1, _MANY) < count, done.beside[:-1], 0.0)

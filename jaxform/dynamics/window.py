@@ -24,7 +24,7 @@ from jaxform.dynamics.contact_step import any_missed, to_tool_frame
 from jaxform.dynamics.edge_step import list_sides
 from jaxform.dynamics.step import finalize_history, step, stop_landed_nodes
 from jaxform.dynamics.timestep import (
-    RUNGS_PER_OCTAVE,
+    LEVELS_PER_OCTAVE,
     StepChoice,
     allocate_basis,
     choose_step,
@@ -105,10 +105,10 @@ def window_and_impacts(
     impacts, packed = bool(scene.surfaces), active.packed
     begin = active.pack_state(state)
     decisions = _make_decisions(begin, scene, active, schedule)
-    end, moving, _ = _step_window(begin, scene, active, decisions, differentiable=False, impacts=impacts)
+    end, current, _ = _step_window(begin, scene, active, decisions, differentiable=False, impacts=impacts)
     # Nothing landed in a rejected window.
-    landed = jnp.where(end.control.last_count > 0, packed.unpack(moving.landing_step), NEVER)
-    return active.unpack_state(end), landed, None if moving.impact is None else packed.unpack(moving.impact)
+    landed = jnp.where(end.control.last_count > 0, packed.unpack(current.landing_step), NEVER)
+    return active.unpack_state(end), landed, None if current.impact is None else packed.unpack(current.impact)
 
 
 def _step_window(
@@ -120,7 +120,7 @@ def _step_window(
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[PackedState, WindowState, Workspace | None]:
-    (length, max_count, (mode, bound, sharpness, rung), workspace), row = decisions
+    (length, max_count, (mode, bound, sharpness, base_length), workspace), row = decisions
     modes = active.viscous(scene.material)
     data = WindowData(
         active=active,
@@ -131,27 +131,27 @@ def _step_window(
         row=row,
         always_check=state.control.last_count == 0,
         recursion=None if modes is None else modes.recursion(length),
-        losing=None if modes is None else modes.limit_losses(length),
+        loss_modes=None if modes is None else modes.limit_losses(length),
         rim=rim_places(scene, state.mesh, active.packed),
     )
     timing = state.time, state.control.step_length, length
-    longest = scene.tables.window_room
+    longest = scene.tables.step_capacity
     steps = *pressures(scene.pressure, timing, longest), velocity_steps(timing, longest)
     lists = None
     if differentiable:
-        moving, searched = _replay_steps(state, scene, data, steps)
+        current, searched = _replay_steps(state, scene, data, steps)
     else:
-        moving, searched, lists = _advance(state, scene, data, steps, workspace, impacts)
-    moving = finalize_history(stop_landed_nodes(moving, scene, data), scene, data)
+        current, searched, lists = _advance(state, scene, data, steps, workspace, impacts)
+    current = finalize_history(stop_landed_nodes(current, scene, data), scene, data)
     begin = dataclasses.replace(
         state,
         nodes=dataclasses.replace(state.nodes, mode=mode),
-        control=dataclasses.replace(state.control, sharpness=sharpness, rung=rung),
+        control=dataclasses.replace(state.control, sharpness=sharpness, base_length=base_length),
     )
-    end, corners = end_of_window_energy(moving, scene, data)
+    end, corners = end_of_window_energy(current, scene, data)
     if workspace is not None:
         workspace = Workspace(corners, workspace.basis, lists)
-    return end_window(begin, moving, end, searched, scene, data), moving, workspace
+    return end_window(begin, current, end, searched, scene, data), current, workspace
 
 
 _Steps = tuple[jax.Array, ...]
@@ -175,19 +175,19 @@ def _advance(
         corners = allocate_corner_forces(state.nodes.positions, data.active.packed.elements)
     else:
         corners = workspace.corners
-    moving = _begin_window(state, scene, data, corners, impacts, recorded)
-    moving = _set_positions(moving, membrane.unstack_rows(state.nodes.positions))
+    current = _begin_window(state, scene, data, corners, impacts, recorded)
+    current = _set_positions(current, membrane.unstack_rows(state.nodes.positions))
     if not scene.surfaces:
-        moving, searched, lists = _advance_until_halted(moving, scene, data, steps), None, None
+        current, searched, lists = _advance_until_halted(current, scene, data, steps), None, None
     else:
         lists = None if workspace is None else workspace.lists
         lists = _allocate_lists(scene, state.nodes.positions) if lists is None else lists
-        moving, searched, lists = _advance_over_lists(moving, scene, data, steps, lists)
-    return _set_positions(moving, jnp.stack(moving.nodes.positions)), searched, lists
+        current, searched, lists = _advance_over_lists(current, scene, data, steps, lists)
+    return _set_positions(current, jnp.stack(current.nodes.positions)), searched, lists
 
 
 def _advance_over_lists(
-    moving: WindowState, scene: Scene, data: WindowData, steps: _Steps, lists: _Lists
+    current: WindowState, scene: Scene, data: WindowData, steps: _Steps, lists: _Lists
 ) -> tuple[WindowState, ContactSearch, _Lists]:
     """The window state after its steps with tools; candidates are listed again whenever the lists become stale."""
     count = len(scene.surfaces)
@@ -195,41 +195,45 @@ def _advance_over_lists(
     def advance_with_lists(
         carry: tuple[WindowState, ContactSearch, _Lists],
     ) -> tuple[WindowState, ContactSearch, _Lists]:
-        moving, (most, overflow, any_before), lists = carry
-        candidates = tuple(_list_candidates(moving, scene, data, number, lists[number]) for number in range(count))
+        current, (most, overflow, any_before), lists = carry
+        candidates = tuple(_list_candidates(current, scene, data, number, lists[number]) for number in range(count))
         full = functools.reduce(operator.or_, [listed.overflow for listed in candidates])
-        moving = dataclasses.replace(
-            moving, halted=moving.halted | full, stale=jnp.asarray(False), check=(initial_check(),) * count
+        current = dataclasses.replace(
+            current, halted=current.halted | full, stale=jnp.asarray(False), check=(initial_check(),) * count
         )
-        moving = _advance_until_halted(moving, scene, data, steps, candidates)
-        missed = any_missed(moving, candidates, scene, data)
+        current = _advance_until_halted(current, scene, data, steps, candidates)
+        missed = any_missed(current, candidates, scene, data)
         pairs = functools.reduce(jnp.maximum, [listed.count for listed in candidates], most)
-        moving = dataclasses.replace(moving, halted=moving.halted | missed)
-        full = full if moving.held is None else full | moving.held.overflow
+        current = dataclasses.replace(current, halted=current.halted | missed)
+        full = full if current.held is None else full | current.held.overflow
         found = pairs, overflow | full, any_before | missed
-        return moving, found, tuple(listed.lists for listed in candidates)
+        return current, found, tuple(listed.lists for listed in candidates)
 
     none = jnp.int32(0), jnp.asarray(False), jnp.asarray(False)
-    return jax.lax.while_loop(lambda carry: _continues(carry[0], data), advance_with_lists, (moving, none, lists))
+    return jax.lax.while_loop(lambda carry: _continues(carry[0], data), advance_with_lists, (current, none, lists))
 
 
 def _advance_until_halted(
-    moving: WindowState, scene: Scene, data: WindowData, steps: _Steps, candidates: tuple[Candidates, ...] | None = None
+    current: WindowState,
+    scene: Scene,
+    data: WindowData,
+    steps: _Steps,
+    candidates: tuple[Candidates, ...] | None = None,
 ) -> WindowState:
     """The window state after steps until the window ends or the lists of candidates become stale."""
 
-    def continues(moving: WindowState) -> jax.Array:
-        more = _continues(moving, data)
-        return more if moving.stale is None else more & ~moving.stale
+    def continues(current: WindowState) -> jax.Array:
+        more = _continues(current, data)
+        return more if current.stale is None else more & ~current.stale
 
-    def advance(moving: WindowState) -> WindowState:
-        return step(moving, jax.tree.map(lambda x: entry(x, moving.count), steps), scene, data, candidates)
+    def advance(current: WindowState) -> WindowState:
+        return step(current, jax.tree.map(lambda x: entry(x, current.count), steps), scene, data, candidates)
 
-    return jax.lax.while_loop(continues, advance, moving)
+    return jax.lax.while_loop(continues, advance, current)
 
 
-def _continues(moving: WindowState, data: WindowData) -> jax.Array:
-    return (moving.count < data.max_count) & ~moving.halted
+def _continues(current: WindowState, data: WindowData) -> jax.Array:
+    return (current.count < data.max_count) & ~current.halted
 
 
 def _replay_steps(
@@ -237,25 +241,25 @@ def _replay_steps(
 ) -> tuple[WindowState, ContactSearch | None]:
     """The window state after its steps, differentiable; with tools, contact is first searched without derivative."""
     searched = known = None
-    moving = _begin_window(state, scene, data)
+    current = _begin_window(state, scene, data)
     if scene.surfaces:
         found, searched, _ = _advance(*jax.lax.stop_gradient((state, scene, data, steps)), None, False, scene.slides)
         chosen = sticking.encode_landing(found.nodes.wall, found.nodes.tool, scene.surfaces)
         landings = KnownContact(found.landing_step, chosen, found.count, found.record, found.held)
         known, searched = save_decision((landings, searched))
-        moving = dataclasses.replace(moving, halted=known.count == 0)
-        if moving.held is not None and known.sides is not None:
+        current = dataclasses.replace(current, halted=known.count == 0)
+        if current.held is not None and known.sides is not None:
             sides = known.sides
             held = dataclasses.replace(
-                moving.held, ends=sides.ends, edge=sides.edge, step=sides.step, count=sides.count
+                current.held, ends=sides.ends, edge=sides.edge, step=sides.step, count=sides.count
             )
-            moving = dataclasses.replace(moving, held=held)
-    moving = _scan_in_chunks(lambda moving, own: (step(moving, own, scene, data, known), None), moving, steps)
-    return moving, searched
+            current = dataclasses.replace(current, held=held)
+    current = _scan_in_chunks(lambda current, own: (step(current, own, scene, data, known), None), current, steps)
+    return current, searched
 
 
-def _set_positions(moving: WindowState, positions: Any) -> WindowState:
-    return dataclasses.replace(moving, nodes=dataclasses.replace(moving.nodes, positions=positions))
+def _set_positions(current: WindowState, positions: Any) -> WindowState:
+    return dataclasses.replace(current, nodes=dataclasses.replace(current.nodes, positions=positions))
 
 
 _Decisions = tuple[StepChoice, tuple[jax.Array, jax.Array] | None]
@@ -270,10 +274,10 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
     def from_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
         length, count = schedule.lengths[row], schedule.counts[row]
         left = jnp.minimum(length * count - state.replay.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
-        # Where the sheet is stiffer for its mass than that of the schedule, the steps are shorter by whole rungs.
+        # Where the sheet is stiffer for its mass than that of the schedule, the steps are shorter by whole levels.
         bound = element_step_bound(state, scene, active)
-        rungs = jnp.ceil(jnp.log2(_STIFFER * schedule.bounds[row] / bound) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE
-        finer = jnp.exp2(jnp.maximum(rungs, 0.0) + state.control.retries)
+        levels = jnp.ceil(jnp.log2(_STIFFER * schedule.bounds[row] / bound) * LEVELS_PER_OCTAVE) / LEVELS_PER_OCTAVE
+        finer = jnp.exp2(jnp.maximum(levels, 0.0) + state.control.retries)
         rest = left
         if scene.parison.clamp_until is not None:
             rest = jnp.minimum(left, jnp.maximum(next_stop(state, scene) - state.time, 0.0))
@@ -283,7 +287,7 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
         even = rest / jnp.maximum(steps, 1)
         length = jnp.where(fresh, jnp.minimum(length, even), even)
         most = jnp.clip(steps, 1, max_step_count(length, scene))
-        limit = state.nodes.mode, bound, state.control.sharpness, state.control.rung
+        limit = state.nodes.mode, bound, state.control.sharpness, state.control.base_length
         return (length, most, limit, None), (row, left)
 
     def beyond_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
@@ -297,13 +301,13 @@ def _begin_window(
     state: PackedState,
     scene: Scene,
     data: WindowData,
-    room: Corners | None = None,
+    corners: Corners | None = None,
     impacts: bool = False,
     recorded: bool = False,
 ) -> WindowState:
     """The window state before the first step; with a workspace for corner forces if no derivative is taken."""
     places, positions = data.active.mass.size, state.nodes.positions
-    searches = bool(scene.surfaces) and room is not None
+    searches = bool(scene.surfaces) and corners is not None
     return WindowState(
         nodes=state.nodes.contact_fields(),
         fields=state.nodes.fields,
@@ -315,47 +319,47 @@ def _begin_window(
         halted=jnp.asarray(False),
         stale=jnp.asarray(False) if searches else None,
         check=(initial_check(),) * len(scene.surfaces) if searches else None,
-        room=room,
+        corners=corners,
         hits=sticking.no_hits(places, positions.dtype) if searches else None,
-        record=jnp.full((scene.tables.window_room, places), -1, jnp.int32) if recorded else None,
+        record=jnp.full((scene.tables.step_capacity, places), -1, jnp.int32) if recorded else None,
         facets=begin_facets(state.nodes, data.active.compliance, scene.surfaces) if scene.slides and searches else None,
         held=None if state.held is None else state.held.at(data.active.packed.place),
     )
 
 
-def _scan_in_chunks(advance: Callable[..., Any], moving: WindowState, steps: tuple[jax.Array, ...]) -> WindowState:
+def _scan_in_chunks(advance: Callable[..., Any], current: WindowState, steps: tuple[jax.Array, ...]) -> WindowState:
     """The window state after all steps, differentiable; chunks of a long window are skipped once it is halted."""
 
-    def scan_chunk(moving: WindowState, steps: tuple[jax.Array, ...]) -> WindowState:
-        return jax.lax.scan(advance, moving, steps)[0]
+    def scan_chunk(current: WindowState, steps: tuple[jax.Array, ...]) -> WindowState:
+        return jax.lax.scan(advance, current, steps)[0]
 
-    def skip_if_halted(moving: WindowState, steps: tuple[jax.Array, ...]) -> tuple[WindowState, None]:
-        return jax.lax.cond(moving.halted, lambda moving, _: moving, scan_chunk, moving, steps), None
+    def skip_if_halted(current: WindowState, steps: tuple[jax.Array, ...]) -> tuple[WindowState, None]:
+        return jax.lax.cond(current.halted, lambda current, _: current, scan_chunk, current, steps), None
 
     if len(steps[0]) <= SHORT_WINDOW:
-        return scan_chunk(moving, steps)
+        return scan_chunk(current, steps)
     chunks = jax.tree.map(lambda values: values.reshape(-1, SHORT_WINDOW), steps)
-    return jax.lax.scan(skip_if_halted, moving, chunks)[0]
+    return jax.lax.scan(skip_if_halted, current, chunks)[0]
 
 
 def _list_candidates(
-    moving: WindowState, scene: Scene, data: WindowData, number: int, into: CandidateLists
+    current: WindowState, scene: Scene, data: WindowData, number: int, into: CandidateLists
 ) -> Candidates:
     """Candidates for the remaining steps of a window, of one surface."""
-    places = to_tool_frame(moving, scene, data, number)
+    places = to_tool_frame(current, scene, data, number)
     (positions, velocities), grid = jax.lax.stop_gradient((places, scene.surfaces[number].grid))
     listed = list_candidates(
         jnp.stack(positions),
         velocities,
-        ~moving.nodes.stuck,
+        ~current.nodes.stuck,
         jax.lax.stop_gradient(data.length),
-        data.max_count - moving.count,
+        data.max_count - current.count,
         grid,
         scene.solver.skip_far,
         into,
         data.active.packed.elements.node_block_count,
     )
-    return list_sides(listed, moving, scene, data, number) if scene.tables.edges else listed
+    return list_sides(listed, current, scene, data, number) if scene.tables.edges else listed
 
 
 def _allocate_lists(scene: Scene, positions: jax.Array) -> _Lists:

@@ -38,7 +38,7 @@ _RELEASE_TOLERANCE = 0.002  # the same of the first window of a damped sheet tha
 
 def end_window(
     state: PackedState,
-    moving: WindowState,
+    current: WindowState,
     end: WindowEnd,
     searched: ContactSearch | None,
     scene: Scene,
@@ -46,14 +46,14 @@ def end_window(
 ) -> PackedState:
     """The state at the window's end, or where the window is rejected that at its begin, to be retried."""
     kinetic, behind, largest, tool = end
-    account = dataclasses.replace(moving.account, gravity_work=_add_gravity_work(state, moving, scene, data))
+    account = dataclasses.replace(current.account, gravity_work=_add_gravity_work(state, current, scene, data))
     account = _add_missed_starts(account, data.length)
     work = jax.lax.stop_gradient(account.work)
     new = dataclasses.replace(
         state,
-        nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
-        memory=moving.memory,
-        held=None if moving.held is None else moving.held.at(data.active.packed.node),
+        nodes=dataclasses.replace(current.nodes, mode=state.nodes.mode, fields=current.fields),
+        memory=current.memory,
+        held=None if current.held is None else current.held.at(data.active.packed.node),
         account=dataclasses.replace(
             account,
             peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
@@ -63,8 +63,8 @@ def end_window(
             last_by_tool=tuple(tool[1:]),
         ),
         control=dataclasses.replace(state.control, step_length=data.length, bound=data.bound),
-        time=state.time + moving.count * data.length,
-        steps=state.steps + moving.count,
+        time=state.time + current.count * data.length,
+        steps=state.steps + current.count,
         windows=state.windows + 1,
     )
     rounding = energy_rounding(scene, data.active.substance)
@@ -93,21 +93,23 @@ def end_window(
         status |= jnp.where((largest > box.reach) & ~bad, Status.ESCAPED, 0)
     retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
     if data.row is not None:
-        spent = moving.count * data.length
+        spent = current.count * data.length
         whole = data.row[1] - spent <= SLACK * data.length
         row_time = jnp.where(whole, 0.0, state.replay.row_time + spent)
         new = dataclasses.replace(new, replay=Replay(data.row[0] + whole, row_time))
     # One conditional for the whole state: leaf by leaf there would be a kernel for each.
-    kept = lax_cond_once(bad, lambda _: state, new, differentiable=moving.room is None)
+    kept = lax_cond_once(bad, lambda _: state, new, differentiable=current.corners is None)
     return dataclasses.replace(
         kept,
         status=status.astype(jnp.int32),
         control=dataclasses.replace(
             kept.control,
-            span=_next_span(state, bad, jump <= _QUIET * new.account.peak_work, searched, scene, data, new.time),
+            window_steps=_next_window_steps(
+                state, bad, jump <= _QUIET * new.account.peak_work, searched, scene, data, new.time
+            ),
             retries=retries,
             last_length=data.length,
-            last_count=jnp.where(bad, 0, moving.count),
+            last_count=jnp.where(bad, 0, current.count),
         ),
         windows=new.windows,
         shortened=state.shortened + bad,
@@ -133,15 +135,15 @@ def _jump_tolerance(state: PackedState, scene: Scene) -> jax.Array | float:
     return jnp.where(released > 0.0, _RELEASE_TOLERANCE, _JUMP_TOLERANCE)
 
 
-def _add_gravity_work(state: PackedState, moving: WindowState, scene: Scene, data: WindowData) -> jax.Array | None:
+def _add_gravity_work(state: PackedState, current: WindowState, scene: Scene, data: WindowData) -> jax.Array | None:
     """Work of gravity [J] up to the window's end; None where none acts."""
     before, gravity = state.account.gravity_work, scene.solver.gravity
     if before is None or gravity is None:
         return None
-    return before + gravity @ jnp.sum(data.active.mass * (moving.nodes.positions - state.nodes.positions), axis=1)
+    return before + gravity @ jnp.sum(data.active.mass * (current.nodes.positions - state.nodes.positions), axis=1)
 
 
-def _next_span(
+def _next_window_steps(
     state: State,
     rejected: jax.Array,
     quiet: jax.Array,
@@ -156,8 +158,8 @@ def _next_span(
     costs as much as ten steps; but there stuck elements leave the active set, and the step length follows the
     stiffness. Where the planned windows would not suffice for the `time` that is left, windows have their full length.
     """
-    if scene.tables.window_room <= SHORT_WINDOW:
-        return state.control.span
+    if scene.tables.step_capacity <= SHORT_WINDOW:
+        return state.control.window_steps
     longer = quiet & (jnp.abs(data.bound - state.control.bound) <= _STEADY * state.control.bound)
     if searched is not None:
         counts = scene.tables.counts
@@ -165,13 +167,13 @@ def _next_span(
         longer &= searched[0] <= _FEW_PAIRS * nodes
     longest = jnp.int32(scene.tables.longest_window)
     twice, half = (
-        jnp.minimum(2 * state.control.span, longest),
-        jnp.maximum(state.control.span // 2, jnp.minimum(SHORT_WINDOW, longest)),
+        jnp.minimum(2 * state.control.window_steps, longest),
+        jnp.maximum(state.control.window_steps // 2, jnp.minimum(SHORT_WINDOW, longest)),
     )
-    span = jnp.where(longer, twice, half)
+    window_steps = jnp.where(longer, twice, half)
     windows = (scene.solver.end_time - time) / (SHORT_WINDOW * data.length)
-    span = jnp.where(windows > scene.tables.planned - state.windows, longest, span)
-    return jnp.where(rejected, jnp.minimum(SHORT_WINDOW, longest), span)
+    window_steps = jnp.where(windows > scene.tables.planned - state.windows, longest, window_steps)
+    return jnp.where(rejected, jnp.minimum(SHORT_WINDOW, longest), window_steps)
 
 
 WindowEnd = tuple[jax.Array, jax.Array, jax.Array, list[jax.Array]]
@@ -183,23 +185,23 @@ work of the moving tools by the present forces [J], their total first: empty whe
 """
 
 
-def end_of_window_energy(moving: WindowState, scene: Scene, data: WindowData) -> tuple[WindowEnd, Corners]:
+def end_of_window_energy(current: WindowState, scene: Scene, data: WindowData) -> tuple[WindowEnd, Corners]:
     """Energies at a window's end, and the workspace for corner forces; not differentiable.
 
     The kinetic energy is that of the product of the velocities half a step before and half a step after the positions,
     which a linear mode conserves.
     """
-    moving, scene, data = jax.lax.stop_gradient((moving, scene, data))
+    current, scene, data = jax.lax.stop_gradient((current, scene, data))
     active, elements = data.active, data.active.packed.elements
-    positions = moving.nodes.positions
-    time = data.begin + moving.count * data.length
-    volume = None if moving.account.load_state is None else active.volume(positions)
-    pressure = pressure_at(moving.account, scene, time, data.length, volume).pressure
+    positions = current.nodes.positions
+    time = data.begin + current.count * data.length
+    volume = None if current.account.load_state is None else active.volume(positions)
+    pressure = pressure_at(current.account, scene, time, data.length, volume).pressure
     modes = scene.material.viscous
-    memory = None if modes is None or moving.memory is None else present_memory(moving.memory, modes)
+    memory = None if modes is None or current.memory is None else present_memory(current.memory, modes)
     load = Load(positions, active.thickness, pressure, *active.response(scene.material, memory))
-    room = allocate_corner_forces(positions, elements) if moving.room is None else moving.room
-    corners, _ = corner_forces(load, elements, room)
+    corners = allocate_corner_forces(positions, elements) if current.corners is None else current.corners
+    corners, _ = corner_forces(load, elements, corners)
 
     frames = scene.frames(time, time + data.length)
     moves = scene.moves
@@ -225,9 +227,9 @@ def end_of_window_energy(moving: WindowState, scene: Scene, data: WindowData) ->
             size = jnp.where(sum(nodes[2]) > 0.0, size, 0.0)
         return [], [*energies, *done, size]
 
-    nodes = moving.nodes.stuck, active.mass, active.compliance
-    touched = (moving.nodes.wall, moving.nodes.tool) if moves else (None, None)
-    inputs = gather_table(elements), nodes, positions, moving.nodes.velocities, *touched
+    nodes = current.nodes.stuck, active.mass, active.compliance
+    touched = (current.nodes.wall, current.nodes.tool) if moves else (None, None)
+    inputs = gather_table(elements), nodes, positions, current.nodes.velocities, *touched
     sums = 2 + moves + len(scene.moving_tools)
     _, (kinetic, behind, *tool, largest) = over_blocks(work, elements.node_block_count, inputs, [], sums=sums, most=1)
     return (kinetic, behind, largest, tool), corners
@@ -240,7 +242,7 @@ def _health(
     state, scene, active = jax.lax.stop_gradient((state, scene, active))
     law = active.law(scene.material)
     energy, volume = element_energy(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)
-    strain, volume = energy + active.idle_energy, volume + active.idle_volume
+    strain, volume = energy + active.inactive_energy, volume + active.inactive_volume
     kinetic, _, largest, _ = end
     held = strain + kinetic + sum(state.account.losses().values())
     excess = held - state.account.work - last_work(state, scene, volume)

@@ -42,7 +42,7 @@ class WindowState:
         nodes: Nodal fields. Positions (3, place) [m] are three rows where no derivative is taken, one array elsewhere.
         fields: The scene's user-defined fields, by name.
         account: Energy account.
-        memory: History of the Prony terms (4 n_mode, room): their stress before the first step and at the window's
+        memory: History of the Prony terms (4 n_mode, capacity): their stress before the first step and at the window's
             end. None without Prony terms.
         landing_step: Step in which each node landed in this window (place,); NEVER for the others.
         impact: Impact of nodes that landed, as in `sticking.Landing`; None where it is not recorded.
@@ -50,7 +50,7 @@ class WindowState:
         halted: True after a failure, or when all steps are taken: the remaining steps change nothing.
         stale: True where new lists of candidates are needed; None where contact is not searched for.
         check: Last broad-phase check of each surface; None where contact is not searched for.
-        room: Workspace for corner forces; None where derivatives are taken.
+        corners: Workspace for corner forces; None where derivatives are taken.
         hits: Workspace for first hits; None where contact is not searched for.
         record: All landings, as in `sticking.Landing`; None where they are not recorded.
         facets: Facets on which nodes lie; None where no node can slide, and where derivatives are taken.
@@ -67,7 +67,7 @@ class WindowState:
     halted: jax.Array
     stale: jax.Array | None
     check: tuple[BroadPhaseCheck, ...] | None
-    room: Corners | None
+    corners: Corners | None
     hits: FirstHits | None
     record: jax.Array | None = None
     facets: KnownFacets | None = None
@@ -93,7 +93,7 @@ class WindowData:
         row: Row of the schedule that is followed, and the time left in that row [s]; None without a schedule.
         always_check: True where every step searches contact: the last window was rejected.
         recursion: Factors that advance the Prony terms by a step; None without Prony terms.
-        losing: Prony terms for the viscous loss; None without Prony terms.
+        loss_modes: Prony terms for the viscous loss; None without Prony terms.
         rim: Places of the ends of moving rims' edges (2, n_edge); None without moving rims.
     """
 
@@ -105,7 +105,7 @@ class WindowData:
     row: tuple[jax.Array, jax.Array] | None
     always_check: jax.Array
     recursion: Recursion | None
-    losing: Modes | None = None
+    loss_modes: Modes | None = None
     rim: jax.Array | None = None
 
 
@@ -210,14 +210,14 @@ def initial_state(scene: Scene) -> State:
         ),
         control=Control(
             step_length=zero,
-            span=jnp.minimum(SHORT_WINDOW, jnp.int32(scene.tables.longest_window)),
+            window_steps=jnp.minimum(SHORT_WINDOW, jnp.int32(scene.tables.longest_window)),
             retries=none,
             bound=zero,
             sharpness=zero,
-            rung=zero,
+            base_length=zero,
             last_length=zero,
             last_count=none,
-            pace=None if scene.cooling is None else zero,
+            cooling_rate=None if scene.cooling is None else zero,
         ),
         replay=Replay(none, zero),
         mesh=mesh,

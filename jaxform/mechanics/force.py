@@ -69,11 +69,11 @@ def corner_cotangents(
             their order.
         nodal: Cotangent of the nodal force; None where there is none.
         volume: That of the volume; None where there is none.
-        into: Capacity for corner forces, from `allocate_corner_forces`; empty where the positions' cotangent is not
+        into: Workspace for corner forces, from `allocate_corner_forces`; empty where the positions' cotangent is not
             wanted.
         summed: Sums over steps that are added to, those of `zero_sums`.
-        forces: True if `corner_forces` is computed along with it, since most of it is at hand; `into` then has room for
-            the corners' cotangents and, after them, their forces.
+        forces: True if `corner_forces` is computed along with it, since it shares most of the work; `into` then also
+            holds the corners' forces, after their cotangents.
 
     Returns:
         The corners' cotangents, the sums, and the cotangents of the pressure and of all the response's numbers that

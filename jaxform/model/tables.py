@@ -122,7 +122,7 @@ class BisectionHierarchy:
         first_nodes: Nodes of the mesh before it is refined.
         half_edge_count: Numbers of half edges are below this.
         valence: Largest number of triangles that can meet at a node.
-        node_room: Capacity for nodes.
+        node_capacity: Capacity for nodes.
     """
 
     sheet: ReferenceGeometry
@@ -142,7 +142,7 @@ class BisectionHierarchy:
     first_nodes: int = static()
     half_edge_count: int = static()
     valence: int = static()
-    node_room: int = static()
+    node_capacity: int = static()
 
 
 @pytree
@@ -198,7 +198,7 @@ class Precomputed:
         planned: Number of windows planned for the expected stretch, where a larger one may occur: windows then become
             longer, so that they suffice. The largest number where enough were planned.
         longest_window: Largest number of steps of a window.
-        window_room: Capacity of a window, in steps.
+        step_capacity: Capacity of a window, in steps.
         pairs_per_node: Capacity per node for pairs of node and mold triangle that come near each other.
         counts: Numbers of elements and nodes; None where arrays have exactly these lengths.
         rim: Edges of rims that move; None where every rim is clamped or stays on a symmetry plane.
@@ -216,7 +216,7 @@ class Precomputed:
     longest_window: np.int32 | jax.Array
     planned: np.int32 | jax.Array
     window_count: int = static()
-    window_room: int = static(default=LONG_WINDOW)
+    step_capacity: int = static(default=LONG_WINDOW)
     pairs_per_node: int = static(default=2)
     counts: Counts | None = None
     rim: Rim | None = None

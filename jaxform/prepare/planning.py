@@ -29,7 +29,7 @@ from jaxform.model.tables import (
     BisectionHierarchy,
     ReferenceGeometry,
 )
-from jaxform.sheet.discretization import node_room
+from jaxform.sheet.discretization import refined_node_capacity
 from jaxform.tools.mold import FASTEST, Mold, Motion
 from jaxform.tools.search import SearchGrid
 
@@ -305,7 +305,7 @@ def pack_forest(
         first_nodes=first_nodes,
         half_edge_count=int(forest.half_edges.max()) + 2,
         valence=int(forest.corner_slots.max()) + 1,
-        node_room=node_room(refinement.elements, first_nodes, len(forest.positions)),
+        node_capacity=refined_node_capacity(refinement.elements, first_nodes, len(forest.positions)),
     )
 
 

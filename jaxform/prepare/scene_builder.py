@@ -123,7 +123,7 @@ def _border_volume(positions: np.ndarray, triangles: np.ndarray, held: np.ndarra
 
 
 _FAR_NODES = 0.125  # of all, that may be listed with all that is within the farthest reach
-_MOST_PAIRS_RUNGS = 3  # by doubling, of the capacity for pairs when a scene is built
+_MOST_PAIR_DOUBLINGS = 3  # by doubling, of the capacity for pairs when a scene is built
 
 
 @with_standard_promotion
@@ -275,7 +275,7 @@ def build_scene(
         window_count=window_count,
         planned=np.int32(window_count if steep else NEVER),
         longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest),
-        window_room=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
+        step_capacity=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
         pairs_per_node=max([PAIRS_PER_NODE, *map(_pairs_per_node, surfaces, grids)]),
         rim=rim,
         tool_grids=tuple(grids[len(grids) - len(tools) :]),
@@ -466,8 +466,8 @@ def _pairs_per_node(mold: Mold | None, grid: SearchGrid | None) -> int:
     corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     within = np.pi * float(grid.farthest) ** 2 / np.median(0.5 * np.linalg.norm(cross, axis=1))
-    rungs = round(np.log2(max(_FAR_NODES * within / PAIRS_PER_NODE, 1.0)))
-    return PAIRS_PER_NODE * 2 ** int(min(rungs, _MOST_PAIRS_RUNGS))
+    doublings = round(np.log2(max(_FAR_NODES * within / PAIRS_PER_NODE, 1.0)))
+    return PAIRS_PER_NODE * 2 ** int(min(doublings, _MOST_PAIR_DOUBLINGS))
 
 
 def _warn_of_float32() -> None:

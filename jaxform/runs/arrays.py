@@ -14,7 +14,7 @@ from jaxform.materials import Law
 from jaxform.model.field import Field
 from jaxform.model.scene import Parison, Refinement
 from jaxform.model.tables import Assembly, Bend, BisectionHierarchy, ElementPairs, ReferenceGeometry, Rim
-from jaxform.sheet.discretization import NEVER, node_room
+from jaxform.sheet.discretization import NEVER, refined_node_capacity
 from jaxform.tools.mold import FAR_LATER, Mold, Motion
 from jaxform.tools.search import CLASSES, SearchGrid
 
@@ -29,34 +29,34 @@ class Order(NamedTuple):
     triangle: np.ndarray | None
     elements: int
     first_nodes: int
-    node_room: int
-    triangle_room: int
+    node_capacity: int
+    triangle_capacity: int
 
 
-def pad_values(values: Any, room: int, fill: Any) -> Any:
+def pad_values(values: Any, capacity: int, fill: Any) -> Any:
     """Values (..., n), padded to capacity."""
     values = np.asarray(values)
-    if values.shape[-1] == room:
+    if values.shape[-1] == capacity:
         return values
-    new = np.full((*values.shape[:-1], room), fill, values.dtype)
+    new = np.full((*values.shape[:-1], capacity), fill, values.dtype)
     new[..., : values.shape[-1]] = values
     return new
 
 
-def scatter_values(values: Any, place: np.ndarray, room: int, fill: Any) -> Any:
+def scatter_values(values: Any, place: np.ndarray, capacity: int, fill: Any) -> Any:
     """Values (..., n) at places (n,) of a padded array, and `fill` elsewhere."""
     values = np.asarray(values)
-    if len(place) == room:
+    if len(place) == capacity:
         return values
-    new = np.full((*values.shape[:-1], room), fill, values.dtype)
+    new = np.full((*values.shape[:-1], capacity), fill, values.dtype)
     new[..., place] = values
     return new
 
 
-def pad_with_first(values: Any, room: int) -> Any:
+def pad_with_first(values: Any, capacity: int) -> Any:
     """Values (..., n), padded to capacity with the first one."""
     values = np.asarray(values)
-    new = np.empty((*values.shape[:-1], room), values.dtype)
+    new = np.empty((*values.shape[:-1], capacity), values.dtype)
     new[..., : values.shape[-1]] = values
     new[..., values.shape[-1] :] = values[..., :1]
     return new
@@ -64,7 +64,7 @@ def pad_with_first(values: Any, room: int) -> Any:
 
 def pad_nodal(values: Any, order: Order, fill: Any) -> Any:
     """Values (..., n_node) in the order of the padded nodes, and a fill value at the others."""
-    return scatter_values(values, order.node, order.node_room, fill)
+    return scatter_values(values, order.node, order.node_capacity, fill)
 
 
 def pad_parison(parison: Parison, elements: int, order: Order) -> Parison:
@@ -99,14 +99,14 @@ def pad_material(material: Law, order: Order) -> Law:
     return material.with_zones({name: pad_zone(own) for name, own in material.zones.items()})
 
 
-def pad_sheet(sheet: ReferenceGeometry, room: int, order: Order) -> ReferenceGeometry:
+def pad_sheet(sheet: ReferenceGeometry, capacity: int, order: Order) -> ReferenceGeometry:
     """The padded geometry; padded elements are at the place of the first one, and have no area."""
     return ReferenceGeometry(
-        triangles=pad_with_first(order.node[np.asarray(sheet.triangles)].astype(np.int32), room),
-        inverse_metric=pad_with_first(sheet.inverse_metric, room),
-        area=pad_values(sheet.area, room, 0.0),
+        triangles=pad_with_first(order.node[np.asarray(sheet.triangles)].astype(np.int32), capacity),
+        inverse_metric=pad_with_first(sheet.inverse_metric, capacity),
+        area=pad_values(sheet.area, capacity, 0.0),
         origin=sheet.origin,
-        regions=None if sheet.regions is None else pad_values(sheet.regions, room, False),
+        regions=None if sheet.regions is None else pad_values(sheet.regions, capacity, False),
     )
 
 
@@ -118,10 +118,10 @@ def pad_initial_contact(lying: Any, order: Order) -> Any:
 def pad_rim(rim: Rim, order: Order) -> Rim:
     """The padded rim; padded edges begin and end at one node."""
     ends, triangle = order.node[np.asarray(rim.ends)].astype(np.int32), rim.triangle
-    room = capacities.rim_edge_capacity(ends.shape[1])
+    capacity = capacities.rim_edge_capacity(ends.shape[1])
     if triangle is not None and order.triangle is not None:
-        triangle = pad_values(order.triangle[np.asarray(triangle)].astype(np.int32), room, 0)
-    return Rim(pad_values(ends, room, 0), triangle)
+        triangle = pad_values(order.triangle[np.asarray(triangle)].astype(np.int32), capacity, 0)
+    return Rim(pad_values(ends, capacity, 0), triangle)
 
 
 def pad_assembly(assembly: Assembly, elements: int, nodes: int) -> Assembly:
@@ -132,14 +132,14 @@ def pad_assembly(assembly: Assembly, elements: int, nodes: int) -> Assembly:
     overflow = capacities.overflow_capacity(len(assembly.overflow))
     pairs = assembly.pairs
     if pairs is not None:
-        room = capacities.pair_capacity(pairs.element.shape[1], elements)
+        capacity = capacities.pair_capacity(pairs.element.shape[1], elements)
         pair: Any = np.asarray(pairs.element)
         # A padded pair has one padded element and no other.
-        first, second = pad_values(pair[0], room, elements - 1), pad_values(pair[1], room, -1)
+        first, second = pad_values(pair[0], capacity, elements - 1), pad_values(pair[1], capacity, -1)
         both: Any = np.stack([first, second])
         pairs = ElementPairs(
             element=both,
-            pair=pad_values(pairs.pair, elements, room - 1),
+            pair=pad_values(pairs.pair, elements, capacity - 1),
             triangles=pad_with_first(pairs.triangles, elements),
             inverse_metric=pad_with_first(pairs.inverse_metric, elements),
             orientation=pad_values(pairs.orientation, elements, 1.0),
@@ -212,20 +212,20 @@ def _pad_motion(motion: Motion) -> Motion:
 def pad_grid(grid: SearchGrid) -> SearchGrid:
     """The padded grid; no cell lists a padded triangle."""
     cells = max(grid.bound.size, 0 if grid.far is None else grid.far.start.size)
-    room, rows = capacities.cell_capacity(cells), capacities.mold_triangle_capacity(grid.number.size)
+    capacity, rows = capacities.cell_capacity(cells), capacities.mold_triangle_capacity(grid.number.size)
     far = grid.far
     if far is not None:
         far = dataclasses.replace(
-            far, start=pad_values(far.start, room + 1, 0), ends=pad_values(far.ends, CLASSES * room, 0)
+            far, start=pad_values(far.start, capacity + 1, 0), ends=pad_values(far.ends, CLASSES * capacity, 0)
         )
     return SearchGrid(
         corner=grid.corner,
         width=grid.width,
         reach=grid.reach,
         size=grid.size,
-        bound=pad_values(grid.bound, room, 0.0),
-        start=pad_values(grid.start, room + 1, 0),
-        ends=pad_values(grid.ends, CLASSES * room, 0),
+        bound=pad_values(grid.bound, capacity, 0.0),
+        start=pad_values(grid.start, capacity + 1, 0),
+        ends=pad_values(grid.ends, CLASSES * capacity, 0),
         listed=pad_values(grid.listed, capacities.cell_list_capacity(grid.listed.size), 0),
         number=pad_values(grid.number, rows, 0),
         outlines=pad_with_first(np.asarray(grid.outlines).T, rows).T,
@@ -240,35 +240,35 @@ def forest_order(forest: BisectionHierarchy, roots: int) -> Order:
     levels = np.arange(forest.depth + 1)
     begin, size = forest.root_count * ((1 << levels) - 1), forest.root_count << levels
     triangle = np.arange(forest.partner.size) + np.repeat(roots * ((1 << levels) - 1) - begin, size)
-    room = roots * ((1 << (forest.depth + 1)) - 1)
+    capacity = roots * ((1 << (forest.depth + 1)) - 1)
     count, first = forest.owner.size, forest.first_nodes
-    first_room = capacities.node_capacity(first, roots)
-    node = np.arange(count) + np.where(np.arange(count) < first, 0, first_room - first)
-    node_room = first_room + capacities.node_capacity(count - first, roots << forest.depth)
-    return Order(node, triangle, roots, first_room, node_room, room)
+    first_capacity = capacities.node_capacity(first, roots)
+    node = np.arange(count) + np.where(np.arange(count) < first, 0, first_capacity - first)
+    node_capacity = first_capacity + capacities.node_capacity(count - first, roots << forest.depth)
+    return Order(node, triangle, roots, first_capacity, node_capacity, capacity)
 
 
 def pad_forest(forest: BisectionHierarchy, refinement: Refinement, order: Order) -> BisectionHierarchy:
     """The padded forest; its padded triangles have no area and no parts."""
     assert order.triangle is not None
-    place, room, node = order.triangle, order.triangle_room, order.node
+    place, capacity, node = order.triangle, order.triangle_capacity, order.node
     roots, first = order.elements, order.first_nodes
 
     def scatter_triangles(values: Any, fill: Any) -> Any:
-        return scatter_values(values, place, room, fill)
+        return scatter_values(values, place, capacity, fill)
 
     def pad_triangles(values: Any) -> Any:
         values = np.asarray(values)
-        new = np.empty((*values.shape[:-1], room), values.dtype)
+        new = np.empty((*values.shape[:-1], capacity), values.dtype)
         new[...] = values[..., :1]
         new[..., place] = values
         return new
 
-    partner = np.arange(room, dtype=np.int32)
+    partner = np.arange(capacity, dtype=np.int32)
     partner[place] = place[np.asarray(forest.partner)]
     middle = np.asarray(forest.middle)
-    edges = capacities.half_edge_capacity(forest.half_edge_count, room)
-    ends = np.tile(np.arange(order.node_room, dtype=np.int32), (2, 1))
+    edges = capacities.half_edge_capacity(forest.half_edge_count, capacity)
+    ends = np.tile(np.arange(order.node_capacity, dtype=np.int32), (2, 1))
     ends[:, node] = node[np.asarray(forest.ends)]
     fine, bend = forest.fine_at_once, forest.bend
     if fine is not None:
@@ -299,5 +299,7 @@ def pad_forest(forest: BisectionHierarchy, refinement: Refinement, order: Order)
         first_nodes=first,
         half_edge_count=edges,
         valence=capacities.valence_capacity(forest.valence),
-        node_room=capacities.staggered_capacity(node_room(refinement.elements, first, order.node_room)),
+        node_capacity=capacities.staggered_capacity(
+            refined_node_capacity(refinement.elements, first, order.node_capacity)
+        ),
     )

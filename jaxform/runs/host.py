@@ -42,8 +42,8 @@ from jaxform.sheet.state import PackedState, State, Status, WindowLog, is_finish
 _MORE_PAIRS, _MOST_PAIRS = 4, 2048  # times as many; and at most so many for each node
 
 
-def enlarge_room(
-    scene: Scene, state: State, taken: WindowLog, done: bool, most_steps: int
+def enlarge_overflowed(
+    scene: Scene, state: State, log: WindowLog, done: bool, most_steps: int
 ) -> tuple[Scene, State, WindowLog] | None:
     """The scene with a larger capacity of the kind that overflowed, and the run's state for it.
 
@@ -52,13 +52,13 @@ def enlarge_room(
     Args:
         scene: The scene.
         state: State of the run.
-        taken: Log of its windows.
+        log: Log of its windows.
         done: True if the run is finished.
         most_steps: Limit on the steps of the run.
     """
     status, tables, adaptivity = int(state.status), scene.tables, scene.adaptivity
     if status == Status.REFINEMENT_OVERFLOW and adaptivity is not None and can_enlarge_capacity(adaptivity):
-        return *enlarge_capacity(scene, adaptivity, state), taken
+        return *enlarge_capacity(scene, adaptivity, state), log
     if status == Status.CONTACT_OVERFLOW and tables.pairs_per_node < _MOST_PAIRS:
         wider = dataclasses.replace(tables, pairs_per_node=_MORE_PAIRS * tables.pairs_per_node)
         # The window that overflowed does not count as failed.
@@ -67,10 +67,10 @@ def enlarge_room(
         # Either the pairs or the sides that are held at edges were too many.
         held = None if state.held is None else state.held.enlarge(_MORE_PAIRS)
         state = dataclasses.replace(state, status=jnp.zeros_like(state.status), control=control, held=held)
-        return dataclasses.replace(scene, tables=wider), state, taken
+        return dataclasses.replace(scene, tables=wider), state, log
     if not done and int(state.windows) >= tables.window_count and int(state.steps) < most_steps:
         longer = dataclasses.replace(tables, window_count=2 * tables.window_count)
-        rows = jax.tree.map(lambda row: jnp.asarray(np.append(row, np.zeros_like(row))), taken)
+        rows = jax.tree.map(lambda row: jnp.asarray(np.append(row, np.zeros_like(row))), log)
         return dataclasses.replace(scene, tables=longer), state, rows
     return None
 
@@ -81,7 +81,7 @@ def remaining_windows(scene: Scene, state: State, most_steps: int) -> int:
     return max(0, min(scene.tables.window_count - int(state.windows), -(-steps // int(scene.tables.longest_window))))
 
 
-_GOING, _LAST = np.bool_(False), np.bool_(True)
+_UNFINISHED, _LAST = np.bool_(False), np.bool_(True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,7 +149,7 @@ def _run(
     scene, limit = padded.scene, original.solver.max_steps
     began = time.perf_counter()
     begin, advance, ending = programs(scene, store)
-    state, first, taken = begin(scene)
+    state, first, log = begin(scene)
     ready, telling = time.perf_counter(), 0.0
     follows = state.account.load_state is not None
     pressures: list[tuple[float, ...]] = []
@@ -158,12 +158,12 @@ def _run(
     compiling = ready - began
     while left := remaining_windows(scene, state, limit):
         take = left if at_once else 1
-        state, taken, done = advance(state, scene, first, taken, np.int32(take))
-        more = enlarge_room(scene, state, taken, bool(done), limit)
+        state, log, done = advance(state, scene, first, log, np.int32(take))
+        more = enlarge_overflowed(scene, state, log, bool(done), limit)
         if more is not None:
             # One program for each size; the run goes on where it was.
             paused = time.perf_counter()
-            scene, state, taken = more
+            scene, state, log = more
             begin, advance, ending = programs(scene, store)
             first = begin(scene)[1]
             compiling += time.perf_counter() - paused
@@ -172,8 +172,8 @@ def _run(
         if follows:
             _record_pressure(pressures, state)
         if on_window is not None or contacts is not None:
-            now = state, scene, first, taken
-            made = lambda now=now, made=ending: padded.result(made.result()(*now, _GOING))  # noqa: E731
+            now = state, scene, first, log
+            made = lambda now=now, made=ending: padded.result(made.result()(*now, _UNFINISHED))  # noqa: E731
             whole = lambda made=made: _with_durations(made(), contacts)  # noqa: E731
             moment = _moment(state, scene, whole, getattr(original.pressure, "names", ()))
             told = time.perf_counter()
@@ -191,7 +191,7 @@ def _run(
     made = ending.result()
     compiling += time.perf_counter() - paused
     telling += time.perf_counter() - paused
-    final = _with_durations(padded.result(made(state, scene, first, taken, _LAST)), contacts)
+    final = _with_durations(padded.result(made(state, scene, first, log, _LAST)), contacts)
     # The loop's time excludes that of the caller in between, such as for writing frames.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
     recorded = {
@@ -243,17 +243,17 @@ _LARGE = 20_000  # elements, whose runs take as long as compiling: such a mesh h
 @jax.jit
 def whole_run(scene: Scene) -> Result:
     """A run without its host's loop."""
-    state, first, taken = begin(scene)
-    state, taken, _ = advance(state, scene, first, taken, jnp.int32(scene.tables.window_count))
-    return result_of(state, scene, first, taken, jnp.asarray(True))
+    state, first, log = begin(scene)
+    state, log, _ = advance(state, scene, first, log, jnp.int32(scene.tables.window_count))
+    return result_of(state, scene, first, log, jnp.asarray(True))
 
 
 @jax.jit
 def result_of(
-    state: State, scene: Scene, first: Discretization, taken: WindowLog | None = None, last: jax.Array | bool = False
+    state: State, scene: Scene, first: Discretization, log: WindowLog | None = None, last: jax.Array | bool = False
 ) -> Result:
     """The result of a state; that of the last one has its final status."""
-    return make_result(state, scene, first, taken, last)
+    return make_result(state, scene, first, log, last)
 
 
 @jax.jit
@@ -267,7 +267,7 @@ def begin(scene: Scene) -> tuple[State, Discretization, WindowLog]:
 
 @jax.jit
 def advance(
-    state: State, scene: Scene, first: Discretization, taken: WindowLog, most: jax.Array
+    state: State, scene: Scene, first: Discretization, log: WindowLog, most: jax.Array
 ) -> tuple[State, WindowLog, jax.Array]:
     """The state after at most `most` windows, the log with theirs, and True if the run is finished."""
 
@@ -280,22 +280,22 @@ def advance(
             before = state.mesh.element_count
             state, now, active = refine_in_place(state, scene, now, active)
             stale |= state.refined_mesh.element_count != before
-            if active.idle is not None and carry.active.idle is not None:
+            if active.inactive is not None and carry.active.inactive is not None:
                 # Idle elements were brought up to date, so that their energy has changed.
-                stale |= active.idle.since > carry.active.idle.since
+                stale |= active.inactive.since > carry.active.inactive.since
         state, active = repack(state, scene, now, active, stale)
         state = open_clamp(state, scene, active)
         whole_window = lambda now: window_in_place(stick_folds(now[0], scene, now[1]), scene, now[1])  # noqa: E731
-        after, active = skip_if_full(state.status, scene, whole_window, (state, active))
+        after, active = unless_full(state.status, scene, whole_window, (state, active))
         at = state.windows
-        taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.taken, latest_decisions(after))
-        return _LoopState(after, now, active, taken, carry.count + 1)
+        log = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.log, latest_decisions(after))
+        return _LoopState(after, now, active, log, carry.count + 1)
 
     now = present_discretization(scene, state.mesh, first, stepped=True)
     active = allocate_workspace(whole_set(state, scene, now), scene)
-    begun = _LoopState(active.pack_state(state), now, active, taken, jnp.int32(0))
+    begun = _LoopState(active.pack_state(state), now, active, log, jnp.int32(0))
     end = jax.lax.while_loop(continues, advance_window, begun)
-    return end.active.unpack_state(end.state), end.taken, is_finished(end.state, scene)
+    return end.active.unpack_state(end.state), end.log, is_finished(end.state, scene)
 
 
 class _LoopState(NamedTuple):
@@ -304,7 +304,7 @@ class _LoopState(NamedTuple):
     state: PackedState
     now: Discretization
     active: ActiveSet
-    taken: WindowLog
+    log: WindowLog
     count: jax.Array
 
 
@@ -313,7 +313,7 @@ def latest_decisions(state: State) -> WindowLog:
     return state.control.last_length, state.control.last_count, state.control.bound
 
 
-def skip_if_full[T](
+def unless_full[T](
     status: jax.Array, scene: Scene, take: Callable[[T], T], now: T, only_if: Callable[..., T] = lax_cond_once
 ) -> T:
     """A window, unless refinement overflowed at its boundary: the state is left for a run with a larger capacity."""
@@ -326,11 +326,11 @@ def _request_programs(scene: Scene, store: Store) -> tuple[PendingProgram, Pendi
     The longest is begun as soon as its arguments' shapes are known.
     """
     beginning = store.start_program(begin, scene)
-    state, first, taken = beginning[0]
+    state, first, log = beginning[0]
     return (
         beginning,
-        store.start_program(advance, state, scene, first, taken, np.int32(1)),
-        store.start_program(result_of, state, scene, first, taken, np.bool_(True)),
+        store.start_program(advance, state, scene, first, log, np.int32(1)),
+        store.start_program(result_of, state, scene, first, log, np.bool_(True)),
     )
 
 
@@ -373,9 +373,9 @@ def _has_programs(scene: Scene, store: Store) -> bool:
     """True if all programs for a padded scene are compiled."""
     if not store.has_program(begin, scene):
         return False
-    (state, first, taken), _ = store.start_program(begin, scene)
-    ending = store.has_program(result_of, state, scene, first, taken, np.bool_(True))
-    return ending and store.has_program(advance, state, scene, first, taken, np.int32(1))
+    (state, first, log), _ = store.start_program(begin, scene)
+    ending = store.has_program(result_of, state, scene, first, log, np.bool_(True))
+    return ending and store.has_program(advance, state, scene, first, log, np.int32(1))
 
 
 def compile_for(scene: Scene, store: Store, least: int = 0) -> None:
@@ -390,7 +390,7 @@ def start_programs(scene: Scene, store: Store) -> None:
 
 
 def compile_advance(
-    state: State, scene: Scene, first: Discretization, taken: WindowLog
+    state: State, scene: Scene, first: Discretization, log: WindowLog
 ) -> Callable[..., tuple[State, WindowLog, jax.Array]]:
     """`advance`, compiled for the shapes of a run, in memory."""
-    return IN_MEMORY.program(advance, state, scene, first, taken, np.int32(1))
+    return IN_MEMORY.program(advance, state, scene, first, log, np.int32(1))

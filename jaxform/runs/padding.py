@@ -101,7 +101,7 @@ class PaddedScene(NamedTuple):
         new = result.of(NODAL, nodes) | result.of(OF_ELEMENTS, slice(count))
         triangles = np.asarray(result.triangles)[:count]
         if forest is not None:
-            back = np.zeros(self.order.node_room, np.int32)
+            back = np.zeros(self.order.node_capacity, np.int32)
             back[nodes] = np.arange(len(nodes))
             triangles = back[triangles]
         schedule = None if result.schedule is None else self._schedule(result.schedule, self.order)
@@ -124,11 +124,11 @@ class PaddedScene(NamedTuple):
         """A schedule of the scene itself as one of the padded scene."""
         if self.order is None:
             return schedule
-        room = capacities.window_capacity(len(schedule.counts))
+        capacity = capacities.window_capacity(len(schedule.counts))
         split: Any = schedule.split_at
         if split is not None and self.order.triangle is not None:
-            split = scatter_values(split, self.order.triangle, self.order.triangle_room, NEVER)
-        rows = {name: pad_values(getattr(schedule, name), room, 0) for name in _OF_WINDOWS}
+            split = scatter_values(split, self.order.triangle, self.order.triangle_capacity, NEVER)
+        rows = {name: pad_values(getattr(schedule, name), capacity, 0) for name in _OF_WINDOWS}
         return jax.device_put(dataclasses.replace(schedule, **rows, split_at=split))
 
 
@@ -206,11 +206,11 @@ def _pad_tables(
     pair_count = None
     if forest is None:
         elements = capacities.element_capacity(max(count, least))
-        room = capacities.node_capacity(nodes, elements)
-        order = Order(np.arange(nodes), None, elements, room, room, 0)
+        capacity = capacities.node_capacity(nodes, elements)
+        order = Order(np.arange(nodes), None, elements, capacity, capacity, 0)
         pairs = tables.assembly.pairs
         pair_count = None if pairs is None else pairs.element.shape[1]
-        assembly = pad_assembly(tables.assembly, elements, order.node_room)
+        assembly = pad_assembly(tables.assembly, elements, order.node_capacity)
     else:
         elements = capacities.root_capacity(max(forest.root_count, least))
         order = forest_order(forest, elements)
@@ -240,7 +240,7 @@ def _pad_tables(
         longest_window=tables.longest_window,
         planned=tables.planned,
         window_count=capacities.window_capacity(tables.window_count, recorded=recorded),
-        window_room=tables.window_room,
+        step_capacity=tables.step_capacity,
         pairs_per_node=tables.pairs_per_node,
         counts=counts,
         rim=None if tables.rim is None else pad_rim(tables.rim, order),

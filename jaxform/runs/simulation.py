@@ -30,7 +30,7 @@ from jaxform.mesh.volumes import areas
 from jaxform.model.replacement import check_scene, number_at, replace, sanitize_parameters
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, make_result
-from jaxform.runs.host import IN_MEMORY, latest_decisions, skip_if_full, whole_run
+from jaxform.runs.host import IN_MEMORY, latest_decisions, unless_full, whole_run
 from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
 from jaxform.sheet.scheme import open_clamp_of
@@ -104,11 +104,11 @@ def _simulate_windows(adjoint: Adjoint, scene: Scene, schedule: Schedule | None)
     if adjoint.windows > 1:
         several = _checkpointed_windows(adjoint)
         groups = -(-count // adjoint.windows)
-        state, taken = jax.lax.scan(lambda state, _: several(state, scene, first, schedule), state, length=groups)
-        taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
+        state, log = jax.lax.scan(lambda state, _: several(state, scene, first, schedule), state, length=groups)
+        log = jax.tree.map(lambda values: values.reshape(-1)[:count], log)
     else:
-        state, taken = _windows(state, scene, first, schedule, count=count, adjoint=adjoint)
-    result = make_result(state, scene, first, jax.lax.stop_gradient(taken), True)
+        state, log = _windows(state, scene, first, schedule, count=count, adjoint=adjoint)
+    result = make_result(state, scene, first, jax.lax.stop_gradient(log), True)
     return _mask_walls(dataclasses.replace(result, out_of_range=out_of_range), jnp.any(out_of_range != 0))
 
 
@@ -148,7 +148,7 @@ def _windows(
         def advance_window(state: State) -> State:
             return adjoint.window(stick_folds_of(state, scene, discrete), scene, discrete, first, schedule)
 
-        return skip_if_full(state.status, scene, advance_window, state, adjoint.cond_once)
+        return unless_full(state.status, scene, advance_window, state, adjoint.cond_once)
 
     def skip_if_finished(state: State, _: None) -> tuple[State, WindowLog]:
         done = is_finished(state, scene) | (state.windows >= scene.tables.window_count)

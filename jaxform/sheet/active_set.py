@@ -34,11 +34,11 @@ class InactiveElements:
     """Elements whose strain is constant since they became inactive, in arrays of a fixed size.
 
     Attributes:
-        element: Their numbers (room,).
-        counted: True at places with an inactive element (room,).
-        stress: Stress of their Prony terms (4 n_mode, room).
-        strained: Their strain, (room,) each.
-        volume: Their volume (room,) [m^3].
+        element: Their numbers (capacity,).
+        counted: True at places with an inactive element (capacity,).
+        stress: Stress of their Prony terms (4 n_mode, capacity).
+        strained: Their strain, (capacity,) each.
+        volume: Their volume (capacity,) [m^3].
         since: Time of this stress [s].
         modes: The Prony terms.
     """
@@ -111,20 +111,20 @@ class ActiveSet:
 
     Attributes:
         packed: Order of the active elements and nodes.
-        thickness: Initial thickness of the elements (room,) [m].
-        zones: Material parameters that vary over the sheet, of the elements (..., room), by name.
-        modes: Prony terms of the elements (n_mode, room); None where they do not vary.
-        bound: Largest eigenvalue of the elements' shape gradients (room,) [1/m^2].
+        thickness: Initial thickness of the elements (capacity,) [m].
+        zones: Material parameters that vary over the sheet, of the elements (..., capacity), by name.
+        modes: Prony terms of the elements (n_mode, capacity); None where they do not vary.
+        bound: Largest eigenvalue of the elements' shape gradients (capacity,) [1/m^2].
         mass: Lumped mass of the nodes (place,) [kg].
         compliance: Mobility over mass (3, place) [1/kg].
         substance: Material volume of the active elements [m^3].
-        idle_volume: Volume enclosed by the inactive elements [m^3]; of regions with loads of their own (n_load,).
-        idle_energy: Strain energy of the inactive elements [J].
+        inactive_volume: Volume enclosed by the inactive elements [m^3]; of regions with loads of their own (n_load,).
+        inactive_energy: Strain energy of the inactive elements [J].
         memory: Stress of the Prony terms of all elements at the time of packing; None without Prony terms.
-        idle: Inactive elements with Prony terms; None where there are none.
+        inactive: Inactive elements with Prony terms; None where there are none.
         workspace: Arrays reused from window to window; None where each window allocates its own.
         heat: Temperature change of all elements at the time of packing, as in `State`; None where they do not cool.
-        initial: Initial temperature of the elements (room,) [degC], and their zones without time-temperature shift;
+        initial: Initial temperature of the elements (capacity,) [degC], and their zones without time-temperature shift;
             None where they do not cool.
     """
 
@@ -136,10 +136,10 @@ class ActiveSet:
     mass: jax.Array
     compliance: jax.Array
     substance: jax.Array
-    idle_volume: jax.Array
-    idle_energy: jax.Array
+    inactive_volume: jax.Array
+    inactive_energy: jax.Array
     memory: jax.Array | None = None
-    idle: InactiveElements | None = None
+    inactive: InactiveElements | None = None
     workspace: Workspace | None = None
     heat: ThermalState | None = None
     initial: tuple[jax.Array, dict[str, jax.Array]] | None = None
@@ -148,7 +148,7 @@ class ActiveSet:
         """Volume [m^3] that the sheet encloses, with what is active at positions (3, place) [m]; differentiable."""
         elements = self.packed.elements
         counted = 1.0 if elements.orientation is None else elements.orientation
-        return enclosed_volume(positions, elements, counted) + self.idle_volume
+        return enclosed_volume(positions, elements, counted) + self.inactive_volume
 
     def pack_state(self, state: State) -> PackedState:
         """A state in packed order; at places beyond the nodes they stick."""
@@ -177,15 +177,15 @@ class ActiveSet:
         return state if state.memory is None or self.memory is None else self._unpack_memory(state, self.memory)
 
     def _unpack_elements(self, values: jax.Array, own: jax.Array) -> jax.Array:
-        """Values of all elements (..., n_element) with those of its own (..., room)."""
+        """Values of all elements (..., n_element) with those of its own (..., capacity)."""
         place = jnp.where(self.packed.elements.area > 0.0, self.packed.element, values.shape[-1])
         return values.at[..., place].set(own, mode="drop")
 
     def _unpack_memory(self, state: State, memory: jax.Array) -> State:
         """Restores the memory of all elements from that of the packed ones and that at the time of packing."""
         account, before = state.account, state.account.viscous_loss
-        if self.idle is not None and before is not None:
-            memory, lost = self.idle.unpack_stress(memory, state.time)
+        if self.inactive is not None and before is not None:
+            memory, lost = self.inactive.unpack_stress(memory, state.time)
             account = dataclasses.replace(account, viscous_loss=before + lost)
         return dataclasses.replace(
             state, memory=self._unpack_elements(memory, jnp.asarray(state.memory)), account=account
@@ -281,7 +281,7 @@ def _inactive_totals(
 def totals_of(
     state: State, scene: Scene, discrete: Discretization, counted: jax.Array | None = None
 ) -> tuple[jax.Array, jax.Array]:
-    """Energy [J] and volume [m^3] of the counted elements (room,), in the whole set's order; not differentiable."""
+    """Energy [J] and volume [m^3] of the counted elements (capacity,), in the whole set's order; not differentiable."""
     whole, memory = discrete.whole, state.memory
     thickness, zones, modes = discrete.with_zones(state.heat, scene.material).of_elements(whole.element)
     rows = None if memory is None else memory[:, whole.element]
@@ -319,12 +319,12 @@ def _make_active_set(
 
 def _add_memory(active: ActiveSet, state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
     """Adds the history of the elements and the inactive elements whose stress relaxes."""
-    modes, memory, idle = scene.material.viscous, state.memory, None
+    modes, memory, inactive = scene.material.viscous, state.memory, None
     if modes is None or memory is None:
         return active
     if scene.packs_moving:
-        idle = inactive_elements(state.nodes.positions, memory, state.time, modes, discrete, active.packed)
-    return dataclasses.replace(active, memory=memory, idle=idle)
+        inactive = inactive_elements(state.nodes.positions, memory, state.time, modes, discrete, active.packed)
+    return dataclasses.replace(active, memory=memory, inactive=inactive)
 
 
 def _add_cooling(active: ActiveSet, state: State, discrete: Discretization) -> ActiveSet:
@@ -336,7 +336,9 @@ def _add_cooling(active: ActiveSet, state: State, discrete: Discretization) -> A
     return dataclasses.replace(active, heat=state.heat, initial=(discrete.temperature[element], zones))
 
 
-def _add_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:
+def _add_masses(
+    packed: Packed, discrete: Discretization, inactive_volume: jax.Array, inactive_energy: jax.Array
+) -> ActiveSet:
     thickness, zones, modes = discrete.of_elements(packed.element)
     return ActiveSet(
         packed=packed,
@@ -347,6 +349,6 @@ def _add_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array
         mass=packed.pack(discrete.mass),
         compliance=packed.pack(discrete.compliance),
         substance=jax.lax.stop_gradient(total(packed.elements.area * thickness)),
-        idle_volume=idle_volume,
-        idle_energy=idle_energy,
+        inactive_volume=inactive_volume,
+        inactive_energy=inactive_energy,
     )

@@ -53,7 +53,7 @@ def cool_state(
         due = there & (time > before.time)
         after = jax.tree.map(lambda new, old: jnp.where(due, new, old), ThermalState(change, now, felt), before)
         rows = [[after.change], [after.time], [after.felt]]
-        sums, pace = [], jnp.where(there, jnp.abs(cooling.pace(first + change, wall, share, density)), 0.0)
+        sums, cooling_rate = [], jnp.where(there, jnp.abs(cooling.rate(first + change, wall, share, density)), 0.0)
         if numbers is not None:
             rows += _rows(at_temperature(law, first_zones, first + after.felt))
         if numbers is not None and scene.stiffens:
@@ -69,14 +69,14 @@ def cool_state(
             sums = [area * thickness * (1.0 - ratio) * stored_energy(*metrics, law.with_zones(zones), modes, memory)]
         if memory is not None:
             rows.append([ratio * row for row in memory])
-        return rows, [*sums, jax.lax.stop_gradient(pace)]
+        return rows, [*sums, jax.lax.stop_gradient(cooling_rate)]
 
     own = elements.triangles, elements.inverse_metric, elements.area, active.thickness
     held, kinds = jax.tree.flatten((heat, numbers, memory))
     into = [values.reshape(-1, values.shape[-1]) for values in held]
     inputs = own, heat, begun, numbers, memory
     blocks, sums = elements.block_count, int(scene.stiffens)
-    found, (*lost, pace) = over_blocks(work, blocks, inputs, into, sums=sums, most=1, whole=differentiable)
+    found, (*lost, cooling_rate) = over_blocks(work, blocks, inputs, into, sums=sums, most=1, whole=differentiable)
     made = [values.reshape(old.shape) for values, old in zip(found, held, strict=True)]
     before, (heat, numbers, memory) = heat, jax.tree.unflatten(kinds, made)
     account = state.account
@@ -90,7 +90,7 @@ def cool_state(
         heat=heat,
         memory=state.memory if memory is None else memory,
         account=account,
-        control=dataclasses.replace(state.control, pace=pace),
+        control=dataclasses.replace(state.control, cooling_rate=cooling_rate),
     )
     if numbers is None:
         return state, active
@@ -98,7 +98,7 @@ def cool_state(
 
 
 def _nodal_mean(values: jax.Array, elements: Elements) -> jax.Array:
-    """Mean (place,) at the nodes of values (room,) of their elements, by area; 0 where they have none."""
+    """Mean (place,) at the nodes of values (capacity,) of their elements, by area; 0 where they have none."""
     area = elements.area
     rows = area, jnp.where(area > 0.0, area * values, 0.0)
     total, found = (membrane.sum_to_nodes(row, elements.triangles, elements.slots.shape[1]) for row in rows)

@@ -24,16 +24,16 @@ class RefinedMesh:
 
     Attributes:
         split_at: Window at whose begin each triangle was bisected (n_triangle,); NEVER for the others.
-        element: The triangles in use (element_room,), then others.
+        element: The triangles in use (element_capacity,), then others.
         element_count: Number of triangles in use.
-        node: The node at each place (node_room,), in the order in which they came to be.
+        node: The node at each place (node_capacity,), in the order in which they came to be.
         place: The place of each node (n_node,); 0 where there is no such node.
         node_count: Number of nodes.
         side: The element with each half edge (n_half_edge,), -1 where there is none. None where derivatives are taken,
             which would keep it for each window: it is as long as the forest, and made anew where it is needed.
-        corner: Four times the element, and its corner, of those at each place (valence, node_room); -1 beyond them.
-        corner_count: Number of corners at each place (node_room,).
-        row: The row of `corner` in which each element's corners are (3, element_room).
+        corner: Four times the element, and its corner, of those at each place (valence, node_capacity); -1 beyond them.
+        corner_count: Number of corners at each place (node_capacity,).
+        row: The row of `corner` in which each element's corners are (3, element_capacity).
     """
 
     split_at: jax.Array
@@ -212,16 +212,16 @@ def _forest_mean(nodal: jax.Array, forest: BisectionHierarchy, volumes: jax.Arra
 def first_mesh(scene: Scene, adaptivity: Adaptivity) -> RefinedMesh:
     """The mesh before it is refined."""
     limits, forest = adaptivity
-    room = limits.elements
+    capacity = limits.elements
     roots = jnp.arange(forest.root_count, dtype=jnp.int32)
     counts = scene.tables.counts or Counts(jnp.int32(forest.root_count), jnp.int32(forest.first_nodes))
-    node = jnp.arange(forest.node_room, dtype=jnp.int32)
+    node = jnp.arange(forest.node_capacity, dtype=jnp.int32)
     place = jnp.arange(forest.owner.size, dtype=jnp.int32)
     corner, row = 4 * roots[None] + jnp.arange(3, dtype=jnp.int32)[:, None], forest.root_row
     # Entries beyond the first triangles are dropped.
     there = roots < counts.elements
     at = jnp.where(there, forest.sheet.triangles[:, : forest.root_count], node.size)
-    element = jnp.zeros(room, jnp.int32).at[roots].set(jnp.where(there, roots, 0))
+    element = jnp.zeros(capacity, jnp.int32).at[roots].set(jnp.where(there, roots, 0))
     return RefinedMesh(
         split_at=jnp.full(forest.bound.size, NEVER, jnp.int32),
         element=element,
@@ -232,18 +232,18 @@ def first_mesh(scene: Scene, adaptivity: Adaptivity) -> RefinedMesh:
         side=half_edge_elements(element, counts.elements, forest),
         corner=jnp.full((forest.valence, node.size), -1, jnp.int32).at[row, at].set(corner, mode="drop"),
         corner_count=jnp.zeros(node.size, jnp.int32).at[at].add(1, mode="drop"),
-        row=jnp.zeros((3, room), jnp.int32).at[:, : roots.size].set(row),
+        row=jnp.zeros((3, capacity), jnp.int32).at[:, : roots.size].set(row),
     )
 
 
 def half_edge_elements(element: jax.Array, count: jax.Array, forest: BisectionHierarchy) -> jax.Array:
-    """The element (room,) at each half edge, as `RefinedMesh.side`; `count` elements are in use."""
+    """The element (capacity,) at each half edge, as `RefinedMesh.side`; `count` elements are in use."""
     number = jnp.arange(element.size, dtype=jnp.int32)
     there = jnp.where(number < count, forest.half_edges[:, element], forest.half_edge_count)
     return jnp.full(forest.half_edge_count, -1, jnp.int32).at[there].set(number, mode="drop")
 
 
-def node_room(elements: int, first_nodes: int, most: int) -> int:
+def refined_node_capacity(elements: int, first_nodes: int, most: int) -> int:
     """Room for nodes that goes with that for elements: a cut brings two elements or, at a rim, one, and one node."""
     return min(first_nodes + 64 + int(0.6 * elements), most)
 

@@ -57,10 +57,10 @@ def element_energy(
     Args:
         positions: (3, place) [m].
         elements: The elements, of nodes at these places.
-        thickness: Their initial thickness (room,) [m].
-        material: Their law, its zones (room,).
-        memory: The stress of its viscous modes (4 n_mode, room); None where it has none.
-        counted: Those that count (room,); all by default.
+        thickness: Their initial thickness (capacity,) [m].
+        material: Their law, its zones (capacity,).
+        memory: The stress of its viscous modes (4 n_mode, capacity); None where it has none.
+        counted: Those that count (capacity,); all by default.
     """
     rows, viscous = membrane.unstack_rows(positions), material.viscous
     varying = None if viscous is None or viscous.modulus.ndim == 1 else viscous

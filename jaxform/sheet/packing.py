@@ -102,7 +102,7 @@ class Packed:
     Attributes:
         node: The node at each place (place,); node 0 at the places beyond the nodes.
         place: The place of each node (n_node,).
-        element: The element at each place of the list (room,).
+        element: The element at each place of the list (capacity,).
         exists: True for places with a node (place,).
         kept: True for elements in the list (n_element,).
         elements: Data of the elements for the force.
@@ -245,8 +245,8 @@ class _Listing(NamedTuple):
     """The elements, or pairs of them, that are active.
 
     Attributes:
-        element: The element at each place (room,).
-        there: True at places of the list (room,); places beyond its end repeat an element.
+        element: The element at each place (capacity,).
+        there: True at places of the list (capacity,); places beyond its end repeat an element.
         active: True for listed elements, or pairs (n,).
         rank: Position of each of these in the list (n,).
         count: Number of listed elements, or pairs.
@@ -262,35 +262,35 @@ class _Listing(NamedTuple):
 
     def share(self, corner: jax.Array | int, rank: jax.Array) -> jax.Array:
         """The index of a corner's share, of the element or pair of that rank, in the arrays of corner forces."""
-        room = self.element.size
+        capacity = self.element.size
         if self.per_block == BLOCK:
-            return corner * room + rank
+            return corner * capacity + rank
         block, place = rank // self.per_block, rank % self.per_block
-        return (corner >> 1) * room + block * BLOCK + (corner & 1) * self.per_block + place
+        return (corner >> 1) * capacity + block * BLOCK + (corner & 1) * self.per_block + place
 
 
 def _list_elements(moving: jax.Array | None, element_count: int, used: jax.Array) -> _Listing:
-    room = padded_length(element_count)
+    capacity = padded_length(element_count)
     if moving is None:
         rank, count = jnp.arange(element_count, dtype=jnp.int32), used
-        kept, element = rank < count, jnp.minimum(jnp.arange(room, dtype=jnp.int32), element_count - 1)
+        kept, element = rank < count, jnp.minimum(jnp.arange(capacity, dtype=jnp.int32), element_count - 1)
     else:
-        kept, (element, count) = moving, compact_indices(moving, room, used)
+        kept, (element, count) = moving, compact_indices(moving, capacity, used)
         rank = running_count(moving, used) - 1
-    return _Listing(element, jnp.arange(room) < count, kept, rank, count, BLOCK)
+    return _Listing(element, jnp.arange(capacity) < count, kept, rank, count, BLOCK)
 
 
 def _list_pairs(moving: jax.Array | None, pairs: ElementPairs, used: jax.Array | None) -> _Listing:
     """A pair is listed if either element can move: the first in a block's first half, the second in its second."""
     (first, second), half = pairs.element, BLOCK // 2
-    room = (first.size // half + 1) * half
+    capacity = (first.size // half + 1) * half
     if moving is None:
         rank, count = jnp.arange(first.size, dtype=jnp.int32), jnp.int32(first.size) if used is None else used
-        kept, pair = rank < count, jnp.minimum(jnp.arange(room), first.size - 1)
+        kept, pair = rank < count, jnp.minimum(jnp.arange(capacity), first.size - 1)
     else:
         kept = moving[first] | (second >= 0) & moving[jnp.maximum(second, 0)]
-        (pair, count), rank = compact_indices(kept, room, used), running_count(kept, used) - 1
-    used, other = jnp.arange(room) < count, second[pair]
+        (pair, count), rank = compact_indices(kept, capacity, used), running_count(kept, used) - 1
+    used, other = jnp.arange(capacity) < count, second[pair]
     element = Halves(first[pair], jnp.where(other >= 0, other, first[pair])).concatenate()
     return _Listing(element, Halves(used, used & (other >= 0)).concatenate(), kept, rank, count, half)
 
@@ -298,7 +298,7 @@ def _list_pairs(moving: jax.Array | None, pairs: ElementPairs, used: jax.Array |
 def _columns(
     sheet: ReferenceGeometry, pairs: ElementPairs | None, place: jax.Array, listing: _Listing, block_count: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
-    """Triangles (3, room) of places, inverse metric, area, and orientation where there are pairs; 0 beyond the list."""
+    """Triangles (3, capacity) of places, inverse metric, area, orientation where there are pairs; 0 beyond the list."""
     order = sheet if pairs is None else pairs
     numbers = [sheet.area] if pairs is None else [sheet.area, pairs.orientation]
 
@@ -307,8 +307,12 @@ def _columns(
         own = [jnp.where(there, values[element], 0.0) for values in numbers]
         return [corners, [row[element] for row in order.inverse_metric], own], []
 
-    room, real = listing.element.size, sheet.area.dtype
-    into = [jnp.zeros((3, room), jnp.int32), jnp.zeros((3, room), real), jnp.zeros((len(numbers), room), real)]
+    capacity, real = listing.element.size, sheet.area.dtype
+    into = [
+        jnp.zeros((3, capacity), jnp.int32),
+        jnp.zeros((3, capacity), real),
+        jnp.zeros((len(numbers), capacity), real),
+    ]
     (triangles, inverse_metric, own), _ = over_blocks(work, block_count, (listing.element, listing.there), into)
     return triangles, inverse_metric, own[0], None if pairs is None else own[1]
 

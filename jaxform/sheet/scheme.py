@@ -11,7 +11,7 @@ from typing import Any, cast
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.sliding import ContactLosses, LyingNodes, ToolEnergies, lying_nodes, slide_nodes, split_by_tool
+from jaxform.contact.sliding import ContactLosses, SlideInput, ToolEnergies, slide_nodes, sliding_nodes, split_by_tool
 from jaxform.kernels.blocks import lax_cond_once, materialize
 from jaxform.kernels.derivatives import save_decision
 from jaxform.loads import Loading
@@ -207,8 +207,8 @@ def _synchronize(packed: PackedState, scene: Scene, active: ActiveSet, volume: j
     lost = 0.0 if losses is None else jnp.sum(losses)
     friction, impact = account.friction_loss, account.contact_loss
     if friction is not None:
-        velocities, slid, lies = _synchronize_slip(packed, scene, active, nodal, velocities)
-        lost = 0.0 if losses is None else jnp.sum(jnp.where(lies, slid.damping, losses))
+        velocities, slid, sliding = _synchronize_slip(packed, scene, active, nodal, velocities)
+        lost = 0.0 if losses is None else jnp.sum(jnp.where(sliding, slid.damping, losses))
         friction, impact = friction + jnp.sum(slid.friction), impact + jnp.sum(slid.impact)
         work = None if work is None else work + jnp.sum(slid.work)
         by_tool = add_by_tool(by_tool, scene, packed.nodes.tool, slid.work, slid.friction)
@@ -333,9 +333,9 @@ def _synchronize_slip(
     The tools act on the nodes in this half step, too, but the nodes do not move.
     """
     own, half = packed.nodes, 0.5 * packed.control.step_length
-    lies = lying_nodes(own.stuck, own.wall)
-    lying = LyingNodes.of(own, free, nodal, (active.mass, active.compliance), lies)
+    sliding = sliding_nodes(own.stuck, own.wall)
+    slide_input = SlideInput.of(own, free, nodal, (active.mass, active.compliance), sliding)
     frames = scene.frames(packed.time - packed.control.step_length, packed.time)
     steps = half, jnp.zeros_like(half)
-    slid = slide_nodes(lying, steps, scene.surfaces, frames, scene.solver.damping, differentiable=True)
-    return slid.velocities, slid.losses, lies
+    slid = slide_nodes(slide_input, steps, scene.surfaces, frames, scene.solver.damping, differentiable=True)
+    return slid.velocities, slid.losses, sliding

@@ -70,7 +70,7 @@ def stick_folds_of(state: State, scene: Scene, discrete: Discretization) -> Stat
 
 
 def _touching_nodes(positions: jax.Array, stuck: jax.Array, elements: Elements, thickness: jax.Array) -> jax.Array:
-    """Free nodes (place,) near a fold that touch the back of another film; walls from the initial ones (room,) [m]."""
+    """Free nodes (place,) near a fold that touch the back of another film; `thickness` is the initial one [m]."""
     triangles, count = elements.triangles, stuck.size
     there = can_move(stuck, triangles, elements.area)
     first, *edges = membrane.edges(positions, triangles)
@@ -105,7 +105,7 @@ def _scale(vectors: Vector, length: jax.Array) -> Vector:
 
 
 def _surround(elements: jax.Array, there: jax.Array, triangles: jax.Array, count: int) -> jax.Array:
-    """Nodes (count,) of these elements (room,), and of those around them that are there."""
+    """Nodes (count,) of these elements (capacity,), and of those around them that are there."""
     for _ in range(_RINGS):
         nodes = jnp.zeros(count, bool).at[triangles].max(elements)
         elements = there & nodes[triangles].any(0)

@@ -30,10 +30,10 @@ class Status(enum.IntFlag):
         NON_FINITE: A position or velocity is not finite; the state before that window is kept.
         UNSTABLE: The sheet holds more energy than was put in, or less.
         WINDOWS_EXHAUSTED: The steps that the run may take did not suffice to reach the end time.
-        CONTACT_OVERFLOW: More pairs of node and mold triangle, or of side and edge, were found than there is room for.
+        CONTACT_OVERFLOW: More pairs of node and mold triangle, or of side and edge, were found than the capacity.
         CONTACT_MISSED: A node moved so far in one step that it may have missed the mold.
         STOPPED: Stopped by the caller of `run`.
-        REFINEMENT_OVERFLOW: Refinement asked for more elements or nodes than there is room for.
+        REFINEMENT_OVERFLOW: Refinement needs more elements or nodes than the capacity.
         RUNAWAY: The sheet is ten thousand times as large as it was.
         UNBALANCED: The end was reached, but the energy balance misses more than 1 % of the work.
         INPUT: A number that was traced is out of its range. Nothing was simulated, and all walls are NaN.
@@ -180,23 +180,24 @@ class Control:
 
     Attributes:
         step_length: Length of the last step [s]; 0 before the first.
-        span: Steps that the next window takes, unless it is cut short or the end is near.
+        window_steps: Steps that the next window takes, unless it is cut short or the end is near.
         retries: Times that the present window was retried with half the step: it blew up, or may have missed the mold.
         bound, sharpness: The elements' bound on the step [s], and how many times as long the measured one is; 0 before.
-        rung: The step [s] of the last window, had it not been retried and not divided the rest of the time; 0 before.
+        base_length: Step [s] of the last window before it was halved by retries or to divide the remaining time evenly;
+            0 before the first window.
         last_length, last_count: Step length [s] and steps of the last window; no steps where it was rejected.
-        pace: Largest cooling rate of the sheet [K/s]; None where it does not cool.
+        cooling_rate: Largest cooling rate of the sheet [K/s]; None where it does not cool.
     """
 
     step_length: jax.Array
-    span: jax.Array
+    window_steps: jax.Array
     retries: jax.Array
     bound: jax.Array
     sharpness: jax.Array
-    rung: jax.Array
+    base_length: jax.Array
     last_length: jax.Array
     last_count: jax.Array
-    pace: jax.Array | None = None
+    cooling_rate: jax.Array | None = None
 
 
 @pytree
@@ -267,9 +268,9 @@ def initial_node_state(
     Returns:
         `stuck`, `contact_time` [s], `wall` and `tool`, as in `Nodes`.
     """
-    mobility, lying, tool = scene.tables.mobility, scene.tables.initial_contact, scene.tables.initial_tool
+    mobility, touching, tool = scene.tables.mobility, scene.tables.initial_contact, scene.tables.initial_tool
     if node is not None:
-        mobility, lying = mobility[:, node], None if lying is None else lying[node]
+        mobility, touching = mobility[:, node], None if touching is None else touching[node]
         tool = None if tool is None else tool[node]
     held = jnp.all(mobility == 0.0, axis=0)
     if scene.parison.clamp_until is not None:
@@ -278,16 +279,16 @@ def initial_node_state(
     time = jnp.where(held, 0.0, as_real(-1.0))
     if len(scene.surfaces) > 1 and tool is None:
         tool = jnp.zeros(held.size, jnp.int32)
-    if lying is None:
+    if touching is None:
         return held, time, jnp.zeros(held.size, jnp.int32), tool
-    lies = ~held & (lying != 0)
-    sticks = lies
+    touches = ~held & (touching != 0)
+    sticks = touches
     for number, surface in enumerate(scene.surfaces):
         if not surface.mold.contact.sticks:
-            sticks = sticks & ~(tool == number) if tool is not None else jnp.zeros_like(lies)
+            sticks = sticks & ~(tool == number) if tool is not None else jnp.zeros_like(touches)
     # Sooner than any step, but later than what was clamped beforehand.
-    first = jnp.where(lies, jnp.finfo(time.dtype).tiny, time)
-    return held | sticks, first, jnp.where(lies, lying, 0), tool
+    first = jnp.where(touches, jnp.finfo(time.dtype).tiny, time)
+    return held | sticks, first, jnp.where(touches, touching, 0), tool
 
 
 def noise_vector(positions: jax.Array) -> jax.Array:

@@ -14,7 +14,7 @@ from benchmarks.stability import tools
 from jaxform import molds, shapes
 from jaxform.contact import broad_phase, candidates, sticking
 from jaxform.contact.facet_slip import find_facets, slide_within_facets
-from jaxform.contact.sliding import LyingNodes, slide_nodes
+from jaxform.contact.sliding import SlideInput, slide_nodes
 from jaxform.core.pytree import as_real
 from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics.elements import Nodes
@@ -117,9 +117,9 @@ def test_a_node_that_slides_does_not_pass_another_part_of_its_tool(apart: bool) 
     count, step = BLOCK, jnp.asarray(1e-2)
     begin = jnp.zeros((3, count)).at[0].set(0.995).at[1].set(0.1)
     speed = jnp.zeros((3, count)).at[0].set(1.0)
-    lies = jnp.zeros(count, jnp.int32).at[0].set(1)
+    sliding = jnp.zeros(count, jnp.int32).at[0].set(1)
     ends = unstack_rows(begin + step * speed)
-    nodes = Nodes(ends, speed, jnp.arange(count) > 0, jnp.zeros(count), lies, None, {})
+    nodes = Nodes(ends, speed, jnp.arange(count) > 0, jnp.zeros(count), sliding, None, {})
     listed = candidates.list_candidates(begin, speed, ~nodes.stuck, step, jnp.int32(16), surfaces[0].grid)
     now = sticking.ContactStep(step, step, jnp.int32(0))
     known = [sticking.touches_already(nodes, 0, surfaces[0])]
@@ -174,16 +174,16 @@ def test_a_step_within_a_triangle_is_that_of_the_walk_over_triangles() -> None:
     # As `update_velocity` makes the free velocities.
     half = 0.5 * damping * kick
     free = vector(((1 - half) * v + kick * f / mass) / (1 + half) for v, f in zip(before, nodal, strict=True))
-    wall, lies = jnp.asarray(side * (triangle + 1), jnp.int32), jnp.asarray(rng.random(count) < 0.9)
-    nodes = LyingNodes(
-        _vectors(moved), before, free, nodal, mass, mobile, wall, jnp.asarray(tool, jnp.int32), lies
+    wall, sliding = jnp.asarray(side * (triangle + 1), jnp.int32), jnp.asarray(rng.random(count) < 0.9)
+    nodes = SlideInput(
+        _vectors(moved), before, free, nodal, mass, mobile, wall, jnp.asarray(tool, jnp.int32), sliding
     )  # fmt: skip
     steps, frames = (kick, length), (None, frame)
     known = find_facets(wall, nodes.tool, mobile, surfaces)
     (place, speed), stays, fast, _ = slide_within_facets(nodes, known, steps, surfaces, frames, damping)
     walk = slide_nodes(nodes, steps, surfaces, frames, damping, differentiable=False)
     stays = np.asarray(stays)
-    expected = np.asarray(lies & ~walk.left & (walk.wall == wall))
+    expected = np.asarray(sliding & ~walk.left & (walk.wall == wall))
     np.testing.assert_array_equal(stays, expected)
     assert 50 < stays.sum() < 0.7 * count and held[stays].sum() > 10 and 10 < tool[stays].sum() < stays.sum() - 10
     quick = *place, *speed
@@ -209,7 +209,7 @@ def test_below_the_cone_nothing_moves_and_beyond_it_all_of_the_excess_does() -> 
         positions, velocities, friction = carry
         nodal = (pull, jnp.zeros(3), jnp.full(3, -push))
         free = vector(v + kick * f / mass for v, f in zip(velocities, nodal, strict=True))
-        nodes = LyingNodes(
+        nodes = SlideInput(
             positions, velocities, free, nodal, jnp.full(3, mass), _ONES,
             jnp.full(3, 1), None, jnp.ones(3, bool),
         )  # fmt: skip
@@ -332,7 +332,7 @@ def test_a_node_at_rest_in_a_valley_loses_nothing_by_friction() -> None:
     surface = _surface(np.array(floor + wall, float), triangles, jaxform.make_contact_law("coulomb", 0.2))
     step, damping = jnp.asarray(1e-3), None
     nodal = _vectors([[5.0, 0.0, -3.0]])  # into the wall and onto the floor
-    nodes = LyingNodes(
+    nodes = SlideInput(
         _vectors([[1.0, 1.0, 0.0]]), _vectors([[0.0, 0.0, 0.0]]), vector(step * f for f in nodal), nodal, jnp.ones(1),
         _ONES, jnp.array([1]), None, jnp.ones(1, bool),
     )  # fmt: skip
@@ -479,7 +479,7 @@ def test_friction_over_temperature_is_linear_between_knots_and_held_beyond() -> 
     surface, count = _surface(*figures.plate(), law), warm.size
     push, step = 0.5, jnp.asarray(1e-3)
     free = jnp.full(count, 1.0), jnp.zeros(count), jnp.full(count, -push)
-    nodes = LyingNodes(
+    nodes = SlideInput(
         _vectors([[0.1, 0.2, 0.0]] * count), vector(jnp.zeros(count) for _ in range(3)), free,
         vector(x / step for x in free), jnp.ones(count), vector(jnp.ones(count) for _ in range(3)),
         jnp.full(count, 2, jnp.int32), None, jnp.ones(count, bool), warm,

@@ -363,8 +363,8 @@ def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
         active.pack_state(moved).nodes.positions, elements, active.thickness, scene.material, None
     )
     assert 0.0 < float(own) < float(energy)
-    np.testing.assert_allclose(own + active.idle_energy, energy, rtol=1e-13)
-    np.testing.assert_allclose(inside + active.idle_volume, volume, rtol=1e-13, atol=1e-16)
+    np.testing.assert_allclose(own + active.inactive_energy, energy, rtol=1e-13)
+    np.testing.assert_allclose(inside + active.inactive_volume, volume, rtol=1e-13, atol=1e-16)
 
 
 def test_a_part_of_a_longer_array_is_read_and_written_where_it_is() -> None:

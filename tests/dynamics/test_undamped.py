@@ -55,7 +55,7 @@ def test_the_step_of_a_free_sheet_only_falls() -> None:
     assert result.schedule is not None
     lengths = np.asarray(result.schedule.lengths)[np.asarray(result.schedule.counts) > 0]
     assert np.all(np.diff(lengths) <= 1e-3 * lengths[1:])
-    # The rest at the end is shared: no step is much shorter than the last rung.
+    # The rest at the end is shared: no step is much shorter than the last level.
     assert lengths[-1] > 0.9 * lengths[-3]
 
 

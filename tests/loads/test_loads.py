@@ -82,7 +82,9 @@ def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> No
             return membrane.strain_energy(*geometry, volume, scene.material)
 
         def inside(flat: jax.Array) -> jax.Array:
-            return dataclasses.replace(active, idle_volume=real(0.0)).volume(active.packed.pack(flat.reshape(3, -1)))
+            return dataclasses.replace(active, inactive_volume=real(0.0)).volume(
+                active.packed.pack(flat.reshape(3, -1))
+            )
 
         volume, rise = jax.value_and_grad(inside)(flat)
         return scene.pressure.at(state.time, volume) * rise - jax.grad(energy)(flat)

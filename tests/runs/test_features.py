@@ -283,7 +283,7 @@ def test_gradients_equal_central_differences_by_every_number(case: Case) -> None
 def test_beyond_the_scene_itself_there_is_no_slope(case: Case) -> None:
     order, (_, slopes) = case.room.order, case.simulate()
     assert order is not None
-    inside = np.zeros(order.node_room, bool)
+    inside = np.zeros(order.node_capacity, bool)
     inside[order.node] = True
     assert not inside.all()
     wide = np.asarray(slopes["parison.thickness"])

@@ -71,7 +71,7 @@ def test_a_second_scene_of_a_kind_compiles_nothing(compilations: Callable[[], in
 
 @pytest.mark.long
 def test_programs_for_more_elements_serve_a_smaller_mesh(compilations: Callable[[], int]) -> None:
-    """With the same result, nodes to the last bit; not those of three rungs more."""
+    """With the same result, nodes to the last bit; not those of three bucket sizes more."""
     first, second = (capacities.element_capacity(1), capacities.element_capacity(capacities.element_capacity(1)))
     scene, larger, store = dish(0.05, 77), dish(0.05, first + 40), Store()
     assert first < len(larger.parison.triangles) < second and not host.is_compiled(scene, store)
