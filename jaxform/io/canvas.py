@@ -92,7 +92,7 @@ def draw_process(path: str | Path, process: ProcessHistory) -> None:
 
 
 _SHORT = 0.2  # s: a shorter process is drawn over milliseconds
-_PRESSURES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+PRESSURE_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _RELEASE = "#8c2d04"
 
 
@@ -107,7 +107,7 @@ def _draw_pressure(axes: Any, process: ProcessHistory, time: Array) -> None:
     together = np.stack(list(process.pressures.values()))
     largest = float(np.nanmax(np.abs(together), initial=0.0))
     factor, unit = (1e-5, "bar") if largest >= 1e6 else (1e-3, "kPa") if largest >= 1e3 else (1.0, "Pa")
-    colors = itertools.cycle(_PRESSURES)
+    colors = itertools.cycle(PRESSURE_COLORS)
     for (name, pressure), color in zip(process.pressures.items(), colors, strict=False):
         axes.plot(time, factor * pressure, color=color, linewidth=2, label=name)
         if len(together) == 1:

@@ -18,6 +18,7 @@ from jaxform.io.plausibility import offsets_of
 from jaxform.io.process import pressures_over_time
 from jaxform.io.scene_checks import Survey, box_size, survey
 from jaxform.io.surfaces import (
+    MOLD_COLOR,
     SHEET,
     color_range,
     counted_elements,
@@ -415,7 +416,7 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
 
 def _tool_lines(scene: Scene) -> Iterator[tuple[str, str, float, str, Array]]:
     """Name, colour, width and style of the lines of mold and tools, at the start and the end, and their triangles."""
-    colors = ("#606060", *tool_colors(len(scene.tools)))[0 if scene.mold is not None else 1 :]
+    colors = (MOLD_COLOR, *tool_colors(len(scene.tools)))[0 if scene.mold is not None else 1 :]
     for tool, color in zip([surface.mold for surface in scene.surfaces], colors, strict=True):
         name, faces = tool.name or "mold", tool_faces(scene, tool)
         yield name, color, 1.8, "-", faces

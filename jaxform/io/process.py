@@ -12,7 +12,7 @@ from jaxform.core.disk import atomic_path
 from jaxform.core.pytree import as_real
 from jaxform.io.canvas import ProcessHistory
 from jaxform.io.plausibility import offsets_of
-from jaxform.io.surfaces import tool_colors
+from jaxform.io.surfaces import MOLD_COLOR, tool_colors
 from jaxform.loads import RegionalLoad, TwoSidedLoad, sample_pressure
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 TABLE, PICTURE = "process.csv", "process.png"
 """Names of the files in a folder of results."""
 _TIMES = 241  # of the table, besides the knots of pressure and motions
-_MOLD = "#606060"
 
 
 def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
@@ -41,7 +40,7 @@ def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
         if tool.motion is not None
     }
     contact, names = _contact(result, time, len(tools)), [tool_label(tool) for tool in tools]
-    colors = [_MOLD] * (scene.mold is not None) + tool_colors(len(scene.tools))
+    colors = [MOLD_COLOR] * (scene.mold is not None) + tool_colors(len(scene.tools))
     return ProcessHistory(
         title=f"{scene.name}: the process",
         time=time,

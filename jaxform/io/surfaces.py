@@ -20,6 +20,7 @@ from jaxform.tools.search import split_long_triangles
 Array = NDArray[np.float64]
 
 SHEET = "#5b9bd5"
+MOLD_COLOR = "#606060"  # of its lines
 _GREY, _MOLD_SHARE = 0.62, 0.55  # of the mold, and how much of it the paper lets through
 _COVER_SHARE, _SHEET_SHARE = 0.15, 0.5  # the same of covers of its holes; and of a sheet over it, before the run
 _TOOL_SHARE = 0.3  # the same of tools besides the mold

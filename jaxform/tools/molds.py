@@ -32,14 +32,15 @@ class MoldShape:
     dropped: int = 0
 
 
-def revolved(*, profile: ArrayLike, segments: int) -> MoldShape:
+def revolved(*, profile: ArrayLike, segments: int = 96) -> MoldShape:
     """A profile turned about the z axis.
 
     Each stretch of the profile makes one band of `segments` facets; a band that reaches the axis is a fan.
 
     Args:
         profile: Points r, z [m] from the axis outwards, shape (k, 2). A first r > 0 leaves a hole.
-        segments: Facets of the full circle; the vertices are on the circle.
+        segments: Facets of the full circle; the vertices are on the circle, and the facets of 96 within 0.05 % of its
+            radius.
 
     Returns:
         The mold; vertices run point by point, counter-clockwise, beginning at y = 0, x > 0.

@@ -198,7 +198,7 @@ def refuse_bottles(mold: Mesh) -> None:
     widths = f"about {1e3 * width:.2g} mm wide behind a neck of about {1e3 * neck:.2g} mm"
     problem = f"is a bottle: its cavity is {widths}"
     remedy = (
-        "give --process stretch-blow to blow it from a preform, "
+        "give --process stretch-blow to blow it from a preform, --process extrusion-blow from a tube, "
         f"--drape --direction=+{_flattest_axis(mold)} for a sheet over one side of it, or one half of it, cut along "
         "its axis, as a cavity"
     )

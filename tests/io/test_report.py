@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from jaxform import molds, shapes
 from jaxform.core.errors import InputError
-from jaxform.io import files, report, scene_rewriting
+from jaxform.io import files, report, scene_rewriting, surfaces
 from jaxform.io.report import charts, contents, stored_results
 from jaxform.mesh import meshes, raster
 from tests import browser, scenes
@@ -453,6 +453,22 @@ def test_the_process_has_a_diagram_for_each_panel() -> None:
         ["plug"],
         ["mold", "plug"],
     ]
+
+
+def test_a_tool_has_its_colour_in_all_diagrams_of_the_process() -> None:
+    """As in the pictures, and no two of five gases or tools have the same."""
+    names = ("left", "right", "top", "base", "pin")
+    keys = [f"pressure_{name}" for name in names] + ["displacement_pin", "contact_mold"]
+    keys += [f"contact_{name}" for name in names[:2] + names[-1:]]
+    rows = [{"time": time, **dict.fromkeys(keys, time)} for time in ("0", "1")]
+    pressures, displacements, contact = (chart["series"] for chart in charts._process(rows, None, contents.Parcel()))
+    assert len({line["color"] for line in pressures}) == 5
+    colors = {line["label"]: line["color"] for line in contact}
+    assert colors == {
+        "mold": surfaces.MOLD_COLOR,
+        **dict(zip(("left", "right", "pin"), surfaces.tool_colors(3), strict=True)),
+    }
+    assert displacements[0]["color"] == colors["pin"]
 
 
 @pytest.fixture(scope="module")

@@ -299,6 +299,17 @@ def test_check_tells_of_tools_and_draws_them(tmp_path: Path) -> None:
         assert picture.size == (1600, 750)
 
 
+def test_a_revolved_mold_and_plug_need_no_number_of_segments() -> None:
+    """They have 96, of which the facets miss the circle by 0.05 % of its radius."""
+    profile = [[0.0, 0.05], [0.07, 0.05], [0.1, 0.0]]
+    plug = {"name": "plug", "shape": "revolved", "profile": [[0.0, -0.01], [0.02, -0.02]]}
+    scene = files.build_unchecked(_document([plug], mold={"shape": "revolved", "profile": profile}))
+    np.testing.assert_array_equal(scene.mold.vertices, molds.revolved(profile=profile, segments=96).vertices)
+    assert len(scene.tools[0].vertices) == 97
+    miss = 0.1 - np.linalg.norm(np.asarray(scene.mold.vertices)[-2:, :2].mean(0))
+    assert 0.04e-3 < miss < 0.06e-3
+
+
 def test_the_image_of_a_tool_moves_to_the_symmetry_plane_as_the_tool_does() -> None:
     """As the two halves of a mold that close on a tube."""
     half = _plug(name="half", translate=[0.05, 0.05, -0.06], direction=[-1.0, 0.0, 0.0], displacement=[0.0, 0.03])

@@ -62,8 +62,8 @@ function chart(parent, { title, x, y, series, zero, log, marked = [] }, visit) {
   axes(svg, scale, x, y, log);
   marked.forEach(([place, words]) => markPlace(svg, scale, place, words));
   series.forEach((line, index) => {
-    element(legend, "span", { className: line.role }, line.label);
-    const group = drawn(svg, "g", { class: line.role });
+    element(legend, "span", { className: line.role, style: hue(line) }, line.label);
+    const group = drawn(svg, "g", { class: line.role, style: hue(line) });
     const places = points[index].map(([a, b]) => [scale.across(a).toFixed(1), scale.up(b).toFixed(1)]);
     if (line.dots) drawn(group, "path", { class: "dots", d: places.map(([a, b]) => `M${a} ${b}h0`).join("") });
     else drawn(group, "polyline", { points: places.map((pair) => pair.join()).join(" ") });
@@ -76,6 +76,10 @@ function chart(parent, { title, x, y, series, zero, log, marked = [] }, visit) {
     marks.add(mark[2]);
   }
   follow(svg, scale, series, points, [x, y].map(unit), visit);
+}
+
+function hue({ color }) {
+  return color ? `--hue: ${color}` : "";
 }
 
 function markPlace(svg, scale, place, words) {
@@ -146,7 +150,7 @@ function follow(svg, scale, series, points, units, visit) {
     const [a, b, , index] = nearest(svg, scale, points, event),
       [cx, cy] = [scale.across(a), scale.up(b)],
       right = cx > WIDTH / 2;
-    set(group, { visibility: "visible", class: series[index].role });
+    set(group, { visibility: "visible", class: series[index].role, style: hue(series[index]) });
     set(line, { x1: cx, x2: cx });
     set(dot, { cx, cy });
     set(words, { x: cx + (right ? -10 : 10), y: Math.max(cy - 10, TOP + 12), "text-anchor": right ? "end" : "start" });

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
@@ -10,9 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxform.io.canvas import PRESSURE_COLORS
 from jaxform.io.report.contents import Parcel, symmetry_of
 from jaxform.io.report.stored_results import Results, StoredPart
-from jaxform.io.surfaces import counted_elements, distinguishable_points
+from jaxform.io.surfaces import MOLD_COLOR, counted_elements, distinguishable_points, tool_colors
 from jaxform.mesh import topology
 from jaxform.results import sections
 from jaxform.results.sections import SectionCurve
@@ -189,9 +191,6 @@ def _same(one: Array | None, other: Array) -> bool:
     return one is not None and np.array_equal(one, other)
 
 
-_ROLES = ("after", "other", "before")  # of lines, by which they have their colours
-
-
 def _process(rows: Sequence[dict[str, str]], release: float | None, parcel: Parcel) -> list[Chart]:
     """The process over time: pressure, displacements of tools, and shares of the area in contact with each.
 
@@ -202,25 +201,42 @@ def _process(rows: Sequence[dict[str, str]], release: float | None, parcel: Parc
     largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in pressures.values())
     factor, unit = (1e-3, "kPa") if largest >= 1e3 else (1.0, "Pa")
     lines = [
-        {"label": name.removeprefix("pressure_"), "role": _ROLES[k % len(_ROLES)], "dots": False}
+        _line(name.removeprefix("pressure_"), color)
         | _pack(parcel, "process.p" if name == "pressure" else f"process.{name}", time, factor * values)
-        for k, (name, values) in enumerate(pressures.items())
+        for (name, values), color in zip(pressures.items(), itertools.cycle(PRESSURE_COLORS), strict=False)
     ]
     charts = [("Process: pressure", f"pressure [{unit}]", lines)]
     kinds = (
         ("displacement", "Process: displacement of tools", "displacement [mm]", 1e3),
         ("contact", "Process: contact", "area in contact [%]", 100.0),
     )
+    colors = _colors_of_tools(rows)
     for kind, title, words, factor in kinds:
-        names = [name for name in rows[0] if name and name.startswith(f"{kind}_")]
+        names = [name.removeprefix(f"{kind}_") for name in rows[0] if name and name.startswith(f"{kind}_")]
         series = [
-            {"label": name.removeprefix(f"{kind}_"), "role": _ROLES[k % len(_ROLES)], "dots": False}
-            | _pack(parcel, f"process.{name}", time, factor * _column(rows, name))
-            for k, name in enumerate(names)
+            _line(name, colors[name])
+            | _pack(parcel, f"process.{kind}_{name}", time, factor * _column(rows, f"{kind}_{name}"))
+            for name in names
         ]
         charts.append((title, words, series))
     marked = [] if release is None or release >= time[-1] else [[release, "the clamp opens"]]
     return [_chart(title, "time [s]", words, series, zero=True) | {"marked": marked} for title, words, series in charts]
+
+
+def _line(label: str, color: str) -> dict[str, Any]:
+    """A line of a diagram of the process, without its points."""
+    return {"label": label, "role": "after", "color": color, "dots": False}
+
+
+def _colors_of_tools(rows: Sequence[dict[str, str]]) -> dict[str, str]:
+    """Colours of the mold and the tools by their names, as in the pictures and in all diagrams of the process."""
+    # All are in the columns of contact, in their order; a table of other columns has them by their motion.
+    kinds = ("contact_", "displacement_")
+    names = dict.fromkeys(
+        name.removeprefix(kind) for kind in kinds for name in rows[0] if name and name.startswith(kind)
+    )
+    tools = [name for name in names if name != "mold"]
+    return {"mold": MOLD_COLOR, **dict(zip(tools, tool_colors(len(tools)), strict=True))}
 
 
 def _history(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:

@@ -146,12 +146,12 @@ class Revolved(Table):
     Attributes:
         shape: The kind of surface.
         profile: Points [r, z] [m] from the axis outwards.
-        segments: Number of segments around the axis.
+        segments: Number of segments around the axis; with 96 the facets lie within 0.05 % of the radius.
     """
 
     shape: Literal["revolved"]
     profile: Annotated[list[Point], Field(min_length=2)]
-    segments: Annotated[int, Field(ge=3, le=1_000_000)]
+    segments: Annotated[int, Field(ge=3, le=1_000_000)] = 96
 
 
 class BoxInsert(Table):
