@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
+import json
 import os
 import sys
+import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
 from jaxform.core.errors import InputError, InputWarning, warn_of
+
+if TYPE_CHECKING:
+    from jaxform.io.files import SceneDocument
+    from jaxform.sweeps.evaluation import Setting
+    from jaxform.sweeps.workers import Outcome
 
 STARTS = "starts.csv"
 _SAME = 0.1  # of the objective, within which two starts lead to the same
@@ -256,3 +265,85 @@ def _tell_design(say: Callable[[str], None], design: Any, goal: float | None, fo
     )
     if design.stopped_by == "interrupted":
         say("the search continues from here with --resume")
+
+
+# Searches in a sweep (`jaxform sweep --optimize`): the best design of each search is a row of the results.
+
+MEASURES = {"objective": "", "thickness_rms_error": "", "violation": "", "simulations": ""}
+"""Columns of the results of a search in a sweep, besides those of the simulated best design, and their units."""
+_SEARCH = ("variable", "objective", "solver")
+
+
+def search_of(study: tuple[str, Path, dict[str, Any]] | None, source: str) -> tuple[str, Path, dict[str, Any]]:
+    """The search that a study describes, for scenes of a sweep.
+
+    Returns:
+        The name of the study in messages, the base of its relative paths, and its tables but the sweep.
+
+    Raises:
+        InputError: It is a table of designs alone, or a table of the search is missing or wrong.
+    """
+    from jaxform.io import schema
+    from jaxform.io.validation import validate
+
+    if study is None:
+        remedy = "name the table in a study (sweep.table), with variables, an objective and a solver"
+        raise InputError("is a table, which has no objective for --optimize", remedy, value=source)
+    file, folder, tables = study
+    data = {key: value for key, value in tables.items() if key != "sweep"}
+    validate(schema.StudyFile, {"scene": "any", **data}, file)
+    return file, folder, data
+
+
+def search_digest(data: dict[str, Any]) -> str:
+    """Hash of those tables of a search that determine its result."""
+    determining = json.dumps([data.get(key) for key in _SEARCH], sort_keys=True, default=str)
+    return hashlib.sha256(determining.encode()).hexdigest()
+
+
+def optimize_design(task: tuple[SceneDocument, Setting, tuple[str, Path, dict[str, Any]]]) -> Outcome:
+    """The best design that a search finds for a scene document: its results and files, and its status in words.
+
+    Raises:
+        InputError: The scene cannot be simulated, or the search does not fit it.
+    """
+    import optimize
+    from jaxform.io import schema
+    from jaxform.io.files import StudyDocument
+    from jaxform.io.validation import validate
+    from jaxform.sweeps import evaluation
+    from jaxform.sweeps.workers import OK, Outcome
+
+    document, setting, (file, base, data) = task
+    before, warned = evaluation.count_compiled(), []
+    worker = store, _ = evaluation.set_up(setting)
+    model = validate(schema.StudyFile, {"scene": document.name, **data}, file)
+    with evaluation.compile_once(worker, search_digest(data)), evaluation.tell_warnings(warned.append):
+        began = time.perf_counter()
+        study = optimize.build_study(StudyDocument(file, base, data, model, document), store)
+        with tempfile.TemporaryDirectory(prefix="jaxform-") as name:
+            folder = Path(name)
+            design = optimize.solve(study, on_warning=warned.append)
+            summary = _write_files(folder, document, design, warned)
+            archive = evaluation.pack(folder)
+    found = design.summary()
+    measures = evaluation.measures_of(summary) | {"seconds": time.perf_counter() - began}
+    measures |= {name: found["after"][name] for name in ("objective", "thickness_rms_error")}
+    measures |= {"violation": found["violation"], "simulations": found["simulations"]}
+    status = summary["status"] if int(design.result.status) or design.broken else OK
+    return Outcome(status, (measures, archive, evaluation.count_compiled() - before))
+
+
+def _write_files(folder: Path, document: SceneDocument, design: Any, warned: list[str]) -> dict[str, Any]:
+    """Writes the files of `jaxform optimize` except its pictures; returns the summary."""
+    import optimize
+    from jaxform.io import output, scene_rewriting
+
+    scene_rewriting.write_scene(document, design.changes, folder)
+    summary = output.write_result(
+        design.scene, design.result, folder, list(dict.fromkeys(warned)), design.amend_summary
+    )
+    output.write_part(design.first_scene, design.first_result, folder / "start.vtu")
+    optimize.write_history(folder / "history.csv", design.history)
+    output.write_json(folder / "design.json", design.summary())
+    return summary

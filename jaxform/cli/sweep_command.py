@@ -129,12 +129,12 @@ def _task(arguments: argparse.Namespace) -> _Task:
         table, base = designs.read_table(source), None
     about = arguments.dtype
     if arguments.optimize:
-        from jaxform.cli import sweep_optimize
+        from jaxform.cli import optimize_command
 
-        search = sweep_optimize.search_of(study, arguments.source)
-        about = f"{about} {sweep_optimize.search_digest(search[2])}"
+        search = optimize_command.search_of(study, arguments.source)
+        about = f"{about} {optimize_command.search_digest(search[2])}"
         made = designs.make_designs(table, scene, base, about)
-        task = _Task(made, table.paths, MEASURES | sweep_optimize.MEASURES, sweep_optimize.optimize_design)
+        task = _Task(made, table.paths, MEASURES | optimize_command.MEASURES, optimize_command.optimize_design)
         task.study = search
         return task
     made = designs.make_designs(table, scene, base, about)

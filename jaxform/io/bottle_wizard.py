@@ -18,8 +18,9 @@ from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import meshes
 from jaxform.mesh.meridian import make_meridian
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import bottles, footprint
-from jaxform.tools.bottles import BottleBody, Revolution
+from jaxform.tools import bottles, footprint, revolution
+from jaxform.tools.bottles import BottleBody
+from jaxform.tools.revolution import Revolution
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ def draft_bottle(
     """
     surface, units, extent = read_bottle(paths, scale)
     outside, body = _find_body(surface)
-    neck = _neck_radius(body) if outside is None else bottles.mean_revolution(outside.mesh)[1]
+    neck = _neck_radius(body) if outside is None else revolution.mean_revolution(outside.mesh)[1]
     if neck > _NARROW * body.radius:
         problem = (
             f"has no neck: it is {2e3 * neck:.3g} mm wide at its narrow end and {2e3 * body.radius:.3g} mm elsewhere"
@@ -92,14 +93,14 @@ def draft_bottle(
 def _find_body(surface: Mesh) -> tuple[BottleBody | None, Revolution]:
     """The outside of a bottle that is not round, else None; and the body of revolution that it is, or nearly is."""
     try:
-        return None, bottles.find_revolution(surface)
+        return None, revolution.find_revolution(surface)
     except InputError:
         pass
     try:
         outside = bottles.find_body(surface)
     except InputError as error:
         raise replace(error, problem=f"is not a body of revolution, and {error.problem}") from None
-    return outside, bottles.mean_revolution(outside.mesh)[0]
+    return outside, revolution.mean_revolution(outside.mesh)[0]
 
 
 def read_bottle(paths: Sequence[Path], scale: float | None) -> tuple[Mesh, Units, Array]:

@@ -15,7 +15,7 @@ from jaxform.io.scene_choices import choose_thickness, round_digits
 from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import topology
 from jaxform.tools import bottles
-from jaxform.tools.bottles import BottleHalf
+from jaxform.tools.bottles import HalfBottle
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def draft_extrusion(
     return (texts, {HALF: half.mesh}), lines
 
 
-def _find_holes(half: BottleHalf) -> list[tuple[float, float, float]]:
+def _find_holes(half: HalfBottle) -> list[tuple[float, float, float]]:
     """The handle's holes in the outline of the half, in the parting plane.
 
     Returns:
@@ -95,7 +95,7 @@ def _find_holes(half: BottleHalf) -> list[tuple[float, float, float]]:
     return found
 
 
-def _choose_radius(half: BottleHalf, holes: list[tuple[float, float, float]]) -> float:
+def _choose_radius(half: HalfBottle, holes: list[tuple[float, float, float]]) -> float:
     """The parison's radius [m]: within the neck, or wider for a handle that it does not reach, or for a wide bottle."""
     usual = (_WIDE_FIT if holes else _FIT) * half.neck
     least = float(np.ptp(half.mesh.positions[:, 1])) / (math.pi * _BLOWN)
@@ -120,7 +120,7 @@ def _warn_of_handles(holes: list[tuple[float, float, float]], radius: float) -> 
             warn_of(problem, "give the parison a larger radius (parison.radius), or a wider neck", key="--mold")
 
 
-def _describe(half: BottleHalf, radius: float, thickness: float, wall: float, hole_count: int) -> Iterator[str]:
+def _describe(half: HalfBottle, radius: float, thickness: float, wall: float, hole_count: int) -> Iterator[str]:
     """Lines on what was found and chosen: radius and thickness of the parison, and the bottle's mean wall [m]."""
     (a, b, c), (d, e, f) = (np.round(row, 4) + 0.0 for row in (half.rotation[2], half.rotation[0]))
     yield (
@@ -141,7 +141,7 @@ def _describe(half: BottleHalf, radius: float, thickness: float, wall: float, ho
     yield "guessed: parison, closing, air and times; the material is a placeholder"
 
 
-def _scene(paths: Sequence[Path], half: BottleHalf, radius: float, thickness: float, has_handle: bool) -> str:
+def _scene(paths: Sequence[Path], half: HalfBottle, radius: float, thickness: float, has_handle: bool) -> str:
     """The scene file, of a parison of this radius and thickness [m]."""
     tail, wide = _TAIL * half.length, _LAND * half.length
     gap = round_digits((1.0 + _GAP) * radius)

@@ -13,7 +13,7 @@ import jaxform
 from jaxform.cli.command import main
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import bottles, molds
+from jaxform.tools import bottles, molds, revolution
 from tests.cli.test_new_extrusion import SQUARE, loft, squat, with_handle
 
 BOTTLE = [[0, 6], [20, 5], [32, 0], [42, 3], [45, 10], [45, 190], [30, 250], [13.5, 285], [13.5, 300], [0, 300]]
@@ -97,7 +97,7 @@ def test_half_of_a_closed_bottle_as_a_solid_is_the_whole_bottle() -> None:
     """A half that is closed by the face of its cut, of a bottle with a wall: its outside, and nothing of the cut."""
     half = squat("half jar")
     found = bottles.find_body(Mesh(half.positions @ TURN.T, half.triangles, {}))
-    revolved, neck = bottles.mean_revolution(found.mesh)
+    revolved, neck = revolution.mean_revolution(found.mesh)
     assert found.symmetry == "quarter" and topology.count_handles(found.mesh.triangles) == 0
     np.testing.assert_allclose([revolved.radius, revolved.length, neck], [60.0, 0.98 * 86.0, 36.0], rtol=5e-3)
     np.testing.assert_allclose(found.rotation[2] @ TURN, [0.0, 0.0, -1.0], atol=1e-3)

@@ -8,7 +8,7 @@ import pytest
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import bottles, molds
+from jaxform.tools import bottles, molds, revolution
 from tests.cli.test_new_extrusion import squat
 
 pytestmark = pytest.mark.quick
@@ -34,7 +34,7 @@ def _bottle(rotate: tuple[float, float, float], closed: bool = True, wall: float
     [((0, 0, 0), True, 0.0), ((90, 0, 0), True, 0.0), ((25, -40, 70), False, 0.0), ((180, 10, 0), True, 1e-3)],
 )
 def test_axis_and_profile_of_a_turned_bottle(rotate: tuple[float, float, float], closed: bool, wall: float) -> None:
-    found = bottles.find_revolution(_bottle(rotate, closed, wall))
+    found = revolution.find_revolution(_bottle(rotate, closed, wall))
     turn, shift = molds.rotation(np.array(rotate, float)), np.array([0.1, -0.2, 0.03])
     np.testing.assert_allclose(found.axis, turn @ [0.0, 0.0, -1.0], atol=1e-6)
     np.testing.assert_allclose(found.origin, turn @ [0.0, 0.0, 0.18] + shift, atol=1e-5)
@@ -55,7 +55,7 @@ def test_axis_and_profile_of_a_turned_bottle(rotate: tuple[float, float, float],
 def test_bodies_that_are_not_round_are_refused() -> None:
     for shape in (molds.plate(size=[0.1, 0.05]), molds.box_insert(), molds.bottle_half()):
         with pytest.raises(InputError, match="is not a body of revolution"):
-            bottles.find_revolution(meshes.weld(Mesh(shape.vertices, shape.triangles)))
+            revolution.find_revolution(meshes.weld(Mesh(shape.vertices, shape.triangles)))
 
 
 def test_a_cone_a_cup_a_box_and_a_stepped_buck_are_no_bottles() -> None:
