@@ -455,6 +455,22 @@ def test_the_process_has_a_diagram_for_each_panel() -> None:
     ]
 
 
+def test_the_wall_beyond_the_part_is_grey(folder: Path) -> None:
+    """The curve of the part ends where it is cut off; clicks on both show the place."""
+    results = stored_results.read_results(folder)
+    inner = RADIUS[SHEET.triangles].mean(1) < 0.5
+    cells = results.part.cells | {"part": inner.astype(float)}
+    parcel = contents.Parcel()
+    chart = charts._wall(dataclasses.replace(results, part=results.part._replace(cells=cells)), parcel)
+    arrays = _unpack(parcel.text({}))[1]
+    assert [line["label"] for line in chart["series"]] == ["cut off the part", "all nodes"]
+    beyond, part = (arrays[line["points"]] for line in chart["series"])
+    np.testing.assert_array_equal(beyond[:, 0], part[:, 0])
+    assert np.isfinite(beyond).all() and 45.0 < part[np.isfinite(part[:, 1]), 0].max() < 60.0
+    assert len({line["places"] for line in chart["series"]}) == 1
+    assert len(charts._wall(results, contents.Parcel())["series"]) == 1
+
+
 def test_a_tool_has_its_colour_in_all_diagrams_of_the_process() -> None:
     """As in the pictures, and no two of five gases or tools have the same."""
     names = ("left", "right", "top", "base", "pin")

@@ -62,11 +62,11 @@ function chart(parent, { title, x, y, series, zero, log, marked = [] }, visit) {
   axes(svg, scale, x, y, log);
   marked.forEach(([place, words]) => markPlace(svg, scale, place, words));
   series.forEach((line, index) => {
-    element(legend, "span", { className: line.role, style: hue(line) }, line.label);
+    if (line.label) element(legend, "span", { className: line.role, style: hue(line) }, line.label);
     const group = drawn(svg, "g", { class: line.role, style: hue(line) });
-    const places = points[index].map(([a, b]) => [scale.across(a).toFixed(1), scale.up(b).toFixed(1)]);
+    const places = points[index].map(([a, b, k]) => [scale.across(a).toFixed(1), scale.up(b).toFixed(1), k]);
     if (line.dots) drawn(group, "path", { class: "dots", d: places.map(([a, b]) => `M${a} ${b}h0`).join("") });
-    else drawn(group, "polyline", { points: places.map((pair) => pair.join()).join(" ") });
+    else for (const piece of unbroken(places)) drawn(group, "polyline", { points: piece.join(" ") });
   });
   const marks = new Set();
   for (const { mark } of series) {
@@ -76,6 +76,18 @@ function chart(parent, { title, x, y, series, zero, log, marked = [] }, visit) {
     marks.add(mark[2]);
   }
   follow(svg, scale, series, points, [x, y].map(unit), visit);
+}
+
+// Pieces of a line between the points that it lacks.
+function unbroken(places) {
+  const pieces = [];
+  let last = NaN;
+  for (const [a, b, k] of places) {
+    if (k !== last + 1) pieces.push([]);
+    pieces[pieces.length - 1].push(`${a},${b}`);
+    last = k;
+  }
+  return pieces;
 }
 
 function hue({ color }) {

@@ -70,7 +70,7 @@ def measuring_points(part: StoredPart, summary: Mapping[str, Any]) -> list[Measu
 
 
 def wall_curves(part: StoredPart, symmetry: Mapping[str, float], through: ArrayLike) -> list[sections.SectionCurve]:
-    """The curves of `jaxform.results.sections.curves`, through a place [m] in the initial sheet.
+    """The curves of `jaxform.results.sections.curves`, which know the part, through a place [m] in the initial sheet.
 
     Args:
         part: The part.
@@ -78,7 +78,8 @@ def wall_curves(part: StoredPart, symmetry: Mapping[str, float], through: ArrayL
         through: The place (3,) [m].
     """
     result: Any = SimpleNamespace(positions=part.positions, thickness=part.nodal["thickness"])
-    return sections.curves(_scene(part, symmetry), result, through)
+    mask = part.part_mask
+    return sections.curves(_scene(part, symmetry), result, through, None if mask is None else mask != 0)
 
 
 def is_disc(part: StoredPart, symmetry: Mapping[str, float]) -> bool:
@@ -141,6 +142,9 @@ def pack_charts(results: Results, parcel: Parcel) -> list[Chart]:
     return [chart for chart in charts if chart["series"]]
 
 
+_CUT_OFF = "#c8c8c8"  # of the wall beyond the part
+
+
 def _wall(results: Results, parcel: Parcel) -> Chart:
     """The wall over arc length; of a search that of the start beside it."""
     symmetry, thin = symmetry_of(results), results.summary["thinnest"]
@@ -151,21 +155,25 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
         named = [("best design", "after", curve) for curve in curves[:1]]
         named += [("start", "before", curve) for curve in wall_curves(results.start, symmetry, through)[:1]]
     disc = any(curve.label == "all nodes" for curve in curves)
-    series = []
+    series, beyond = [], []
     for number, (label, role, curve) in enumerate(named):
         line = {"label": label, "role": role if number == 0 or results.start else "other", "dots": _is_cloud(curve)}
         kept = _visible_points(curve.arc, curve.thickness, line["dots"])
-        line |= _pack(parcel, f"wall{number}", 1e3 * curve.arc[kept], 1e3 * curve.thickness[kept])
         # The number of the part in the view.
         line |= {"places": f"chart.places{number}", "part": 0 if role == "after" else 1}
         parcel.add(line["places"], curve.place[kept])
+        arc, wall = 1e3 * curve.arc[kept], 1e3 * curve.thickness[kept]
+        if curve.in_part is not None and not curve.in_part.all():
+            words = "" if beyond else "cut off the part"
+            beyond.append(line | {"label": words, "color": _CUT_OFF} | _pack(parcel, f"beyond{number}", arc, wall))
+        line |= _pack(parcel, f"wall{number}", arc, 1e3 * curve.part_thickness[kept])
         marked = curve.marked
         if role == "after" and marked is not None and np.isfinite(marked) and thin["thickness"] is not None:
             line["mark"] = [1e3 * marked, 1e3 * thin["thickness"], "thinnest"]
         series.append(line)
     where = "arc length from the axis" if disc else "arc length along the section"
     title = "Wall along the meridian" if disc else "Wall along sections through the thinnest place"
-    return _chart(title, f"{where} [mm]", "wall thickness [mm]", series, zero=True)
+    return _chart(title, f"{where} [mm]", "wall thickness [mm]", [*beyond, *series], zero=True)
 
 
 def _initial(start: StoredPart, best: StoredPart, disc: bool, parcel: Parcel) -> list[Chart]:
