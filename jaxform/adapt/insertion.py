@@ -1,9 +1,9 @@
 """Insertion of new nodes at a window boundary, and their contact with the mold.
 
-Where an element cut a corner of the mold, the middle of its side may penetrate it. This is detected from its edge's
-ends, which are on the near side: the path from there crosses the mold. Such a node is put on the nearest place of the
-mold; one on the mold sticks where its edge's ends do; one before it is free. One that was in contact when the run began
-still is.
+The middle of an element's side may penetrate the mold where the element cut a corner of it. This is detected from the
+side's ends, which are on the near side: the path from them crosses the mold. Such a node is moved to the nearest place
+of the mold. A new node on the mold sticks if both ends of its edge do; one before the mold is free; one that was in
+contact at the start of the run still is.
 
 Places are assigned in order, and an edge's ends come before its middle: new nodes are processed in blocks of places,
 and only as far as there are any.
@@ -422,10 +422,10 @@ def _paths_from_sheet(
 
 
 def _is_behind(gap: jax.Array, nearest: jax.Array, last: jax.Array, side: jax.Array, mold: Mold) -> jax.Array:
-    """True where the triangle nearest to points (n,) beyond the mold, a gap (3, n) [m] away, is a thin part's back.
+    """True for points (n,) beyond the mold whose nearest triangle, at a gap (3, n) [m], is the back of a thin part.
 
-    Also where no nearest triangle is known. The front is the triangle that the path from the sheet crosses last, and
-    `side` that from which it does, as in `Crossings`.
+    Also where no nearest triangle is known. The front is the triangle that the path from the sheet crosses last, from
+    the side `side`, as in `Crossings`.
     """
     gap = jax.lax.stop_gradient(gap)
     front = jax.lax.stop_gradient(_normal(mold, jnp.maximum(last, 0)))

@@ -150,7 +150,7 @@ def _write_entry(values: jax.Array, new: jax.Array | int, *index: jax.Array | in
 
 
 def _add_middle_node(mesh: RefinedMesh, node: jax.Array) -> tuple[RefinedMesh, jax.Array]:
-    """The mesh with a node, and its place; it may have it already."""
+    """The mesh with the middle node of an edge, which may exist already, and the place of that node."""
     before = _read_entry(mesh.place, node)
     place = jnp.where(before == 0, mesh.node_count, before)
     return dataclasses.replace(
@@ -227,8 +227,8 @@ def inherit_stress(memory: jax.Array, element: jax.Array, parts: list[jax.Array]
 
     Args:
         memory: Stress of the ancestors' mesh.
-        element: The ancestors, and
-        parts: the ways down from them, as `find_ancestry` gives them.
+        element: The ancestors, from `find_ancestry`.
+        parts: The parts taken from each ancestor down to the element, from `find_ancestry`.
     """
     rows = memory.reshape(-1, 4, memory.shape[1])
     a, mixed, b, across = jnp.moveaxis(rows[:, :, element], 1, 0)

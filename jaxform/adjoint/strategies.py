@@ -178,7 +178,7 @@ class GradientCheck:
         """Largest difference between the slope and a secant, relative to the larger of the two; NaN without secants.
 
         Where `error` is small and this is large, the gradient is right at this design, and yet not the trend: the
-        function has steep ripples that are too small to matter for its value.
+        function has steep ripples that hardly change its value.
         """
         found = self.errors[self._in_secant_range]
         return float(found.max()) if found.size else float("nan")
@@ -215,9 +215,9 @@ def check_gradient(
 ) -> GradientCheck:
     """Holds the gradient of a function against central differences along one direction.
 
-    A run with contact is smooth between the designs at which a decision changes (which node lands first, which step of
-    the ladder is taken), so a large step may show a secant across such changes where `jax.grad` gives the slope at one
-    point: errors that fall as the step shrinks, and rise again when rounding takes over, are those of a right gradient.
+    A run with contact is smooth between the designs at which a decision changes (which node lands first, which level
+    of step length is taken), so a large step may show a secant across such changes where `jax.grad` gives the slope at
+    one point: errors that fall as the step shrinks, and rise again when rounding takes over, are those of a right gradient.
     How far slope and secants are apart says how well the slope predicts a change of the design (`secant_error`).
 
     Args:

@@ -1,4 +1,4 @@
-"""The usual step of nodes that lie on tools: each stays within its triangle, whose geometry is known.
+"""The most frequent step of sliding nodes: each stays within its triangle, whose geometry is stored.
 
 `sliding.slide_nodes` looks triangles up and follows nodes over edges. In most steps a node crosses none: then its
 triangle is the one of the step before, and all nodes of a block are moved side by side.
@@ -81,20 +81,20 @@ def slide_within_facets(
     frames: tuple[ToolFrame | None, ...],
     damping: jax.Array | None,
 ) -> tuple[tuple[Vector, Vector], jax.Array, ContactLosses, jax.Array]:
-    """Takes nodes over a step as `slide_nodes` does, where they neither leave the tool nor cross an edge.
+    """Advances sliding nodes by a step, as `slide_nodes` does, where they neither leave the tool nor cross an edge.
 
     Args:
         nodes: The nodes.
         known: The triangles that they lie on.
-        steps: The step that the velocity takes, and the step [s].
+        steps: Time step of the velocity update, and the step length [s].
         surfaces: The surfaces, in the order of `Scene.surfaces`.
         frames: Their frames in the step; None of those at rest.
         damping: Mass-proportional damping [1/s].
 
     Returns:
-        Positions [m] and velocities [m/s] after the step, three times (n,); which nodes stay within their triangles,
-        for which alone these are right: the others that lie on a tool are moved by `slide_nodes`; the losses, and
-        how far the nodes slide [m].
+        Positions [m] and velocities [m/s] after the step, three times (n,), valid only for nodes that stay within
+        their triangles; the mask of these nodes: the other sliding nodes are moved by `slide_nodes`; the losses; and
+        the distance that the nodes slide [m].
     """
     velocity_step, length = steps
     first, normal, second, third, within = known.vectors()
@@ -124,7 +124,7 @@ def _losses(
     damping: jax.Array | None,
     moves: jax.Array | bool,
 ) -> ContactLosses:
-    """Losses (n,) [J] as `sliding` has them, from what the tool changes the velocities by."""
+    """Losses (n,) [J] as `sliding` has them, from the changes of the velocities by the tool."""
     rate: jax.Array | float = 0.0 if damping is None else damping
     mean = vector(0.5 * (new + old) for new, old in zip(velocities, nodes.velocities, strict=True))
     scale = nodes.mass * (1.0 + 0.5 * velocity_step * rate)
@@ -155,7 +155,7 @@ def _limit_slip(along: Vector, push: jax.Array, nodes: SlideInput, surfaces: tup
 def _moving(
     tool: jax.Array | None, surfaces: tuple[ContactSurface, ...], frames: tuple[ToolFrame | None, ...]
 ) -> jax.Array | bool:
-    """Nodes (n,) that lie on a tool that moves."""
+    """Nodes (n,) in contact with a tool that moves, as a mask."""
     sliding = [k for k, surface in enumerate(surfaces) if not surface.mold.contact.sticks]
     moving = [k for k in sliding if frames[k] is not None]
     if len(moving) in (0, len(sliding)):

@@ -1,7 +1,7 @@
 """Ray casting: crossings of the mold with paths between two places. No derivative is taken.
 
-A place is on the sheet's side of the mold where the path to it, from a node that is, crosses the mold an even number of
-times. Nothing else is required of the mold: it may be open, in pieces, and its triangles may turn either way.
+A place is on the sheet's side of the mold if the path to it, from a node on that side, crosses the mold an even number
+of times. Nothing else is required of the mold: it may be open, in pieces, and its triangles may turn either way.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ def slide_nodes(
     *,
     differentiable: bool,
 ) -> SlideResult:
-    """The nodes after a step in which those that lie on a tool slide; the others move without contact.
+    """The nodes after a step in which those marked `sliding` slide on their tools; the others move without contact.
 
     The normal force is the one that keeps a node from moving into the tool; where it would have to pull, the node
     leaves. From it the contact law gives the friction, and the node moves along the surface with the remaining slip.
@@ -165,7 +165,7 @@ def _slide_on(
     *,
     differentiable: bool,
 ) -> SlideResult:
-    """The nodes after the step, of which those that are `here` (n,) lie on this surface."""
+    """The nodes after the step; those marked `here` (n,) slide on this surface."""
     velocity_step, length = steps
     surface = surface.at(nodes.temperature)
     carrier = vector(jnp.zeros_like(nodes.mass) + (0.0 if frame is None else frame.velocity[k]) for k in range(3))
@@ -181,7 +181,7 @@ def _slide_on(
     given = minus(trial, slip)  # what the tool takes away, along the normal
     push = jnp.where(leaves, 0.0, -dot(given, normal))
     slip = surface.mold.contact.limit_slip(slip, push)
-    # In which direction the nodes are pressed: of the change of the velocity relative to the tool.
+    # Direction in which the nodes are pressed: that of the change of the velocity relative to the tool.
     held = dot(minus(nodes.velocities, carrier), normal)
     pressed = plus(minus(nodes.free, nodes.velocities), vector(held * n for n in normal))
     left = jnp.where(here & ~leaves, length, 0.0)
@@ -202,13 +202,13 @@ def _slide_on(
     losses = _losses(nodes, on_tool, normal, carrier, velocity_step, damping, moves=frame is not None)
     # A tool that moves does work where it turns a node's way.
     turned = nodes.mass * dot(minus(velocities, on_tool), carrier)
-    # Friction acts along the way that was gone: none in a valley, where the next face stops the node.
+    # Friction acts along the distance slid: none in a valley, where the next face stops the node.
     whole = length * jnp.sqrt(dot(slip, slip))
     missed = losses.friction * jnp.where(
         whole > end.distance, 1.0 - end.distance / jnp.where(whole > 0.0, whole, 1.0), 0.0
     )
     friction = losses.friction - missed + nodes.mass * end.rubbed
-    # The forces' work on the way that was not straight, beyond that at the velocities.
+    # Work of the forces along the bent path, less that along the mean velocities.
     means = (0.5 * length * (v + w) for v, w in zip(on_tool, velocities, strict=True))
     bent = dot(nodes.nodal, minus(minus(positions, nodes.positions), vector(means)))
     return SlideResult(
@@ -273,13 +273,13 @@ def land_and_slide(
     *,
     differentiable: bool,
 ) -> tuple[Vector, Vector, jax.Array, jax.Array]:
-    """Nodes (n,) that come to a point of a surface lose their speed into it, and slide on by its contact law.
+    """Landing of nodes (n,): they lose their velocity into the surface, and slide on by its contact law.
 
     Args:
         surface: The surface.
         point: Points at which they touch it, three times (n,) [m].
-        velocities: With which they do, relative to it, three times (n,) [m/s].
-        wall: On which triangle and side, as in `Nodes`.
+        velocities: Velocities there, relative to the surface, three times (n,) [m/s].
+        wall: Contact triangles and sides, as in `Nodes`.
         left: Remaining time of the step [s]; 0 for nodes that do not land.
         mobile: 1 where a component may change, else 0, three times (n,).
         differentiable: True if loops have a fixed number of passes.
@@ -295,7 +295,7 @@ def land_and_slide(
     slip = surface.mold.contact.limit_slip(slip, push)
     start = Glide.start(point, slip, triangle, side, left)
     end = move_along(surface, start, minus(velocities, slip), mobile, differentiable=differentiable)
-    # It leaves no surface in the step in which it comes to it.
+    # A node does not leave the surface in the step in which it lands.
     (last_corner, *_), _, last_normal = facets(surface.mold, end.triangle, end.side)
     off = end.off
     height = dot(minus(end.position, last_corner), last_normal)

@@ -172,7 +172,7 @@ _LyingParts = tuple[jax.Array, jax.Array]
 
 
 def _on_same_part(lying: _LyingParts, node: jax.Array, triangle: jax.Array) -> jax.Array:
-    """Pairs (n,) of a node and a triangle of the part that it lies on: it walks there, and is not tested."""
+    """Pairs (n,) of a sliding node and a triangle of the part that it slides on: not tested."""
     lies_on, part = lying
     on = gather(lies_on, node)
     return (on >= 0) & (gather(part, jnp.maximum(on, 0)) == gather(part, triangle))
@@ -218,7 +218,7 @@ and their number.
 
 
 def no_hits(node_count: int, real: jnp.dtype) -> FirstHits:
-    """The hits before a step: none. Each step leaves this workspace as it was, so that it is made once."""
+    """Workspace without hits; each step leaves it without hits again, so that it is allocated once."""
     number, listed = jnp.full(node_count, -1, jnp.int32), jnp.zeros(node_count + 1, jnp.int32)
     return jnp.full(node_count, jnp.inf, real), number, listed, jnp.int32(0)
 
@@ -233,9 +233,9 @@ def _first_hits(
     first: int,
     lying: _LyingParts | None,
 ) -> FirstHits:
-    """The triangle that each node meets first in this step, counted from `first` on, where it met none before so far.
+    """The triangle that each node meets first in this step, counted from `first`; an earlier hit of the step is kept.
 
-    Of two that are met at once the one with the higher number counts, every time.
+    Of two that are met at the same time, the one with the higher number is always taken.
     """
 
     def more(carry: tuple[jax.Array, FirstHits]) -> jax.Array:
@@ -468,9 +468,9 @@ def _land_on_curve(
     """Position (3, n_node) [m] and velocity [m/s] after landing on a curved path, and beta (n_node,).
 
     The path is the parabola with the accelerations of the step. Its end is the landing point M and, for one step, a
-    little more: (beta - beta^2) / 2 of the step's way, so that the mean position of the node over time, and with it
-    what it pulls its neighbours with, is that of a node that stops where it lands; the velocity returns it to M. So
-    neither depends on where in a step the landing is, to the second order.
+    little more: (beta - beta^2) / 2 of the step's displacement. So the mean position of the node over time, and with
+    it the force on its neighbours, is that of a node that stops where it lands; the velocity returns it to M. Neither
+    depends on the time of landing within a step, to second order.
     """
     assert now.curve is not None
     d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))

@@ -33,9 +33,9 @@ from jaxform.sheet.state import PackedState, can_move, clamp_is_open, immobile_n
 LEVELS_PER_OCTAVE = 16
 _FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
 _NOISE = 0.1  # of what a thorough search begins with: else it is blind for modes that the last one lacks
-_MARGIN = 0.98  # for a mode that was missed all the same: what it does not bear (docs/stability.md), the safety does
+_MARGIN = 0.98  # for a mode that was missed: larger errors are covered by the safety (docs/stability.md)
 _ROUNDING = 1e-3  # of the elements' bound: it is exact where there is one element
-_SQUARINGS = 30  # of a small matrix: eigenvalues a billionth apart are then told apart
+_SQUARINGS = 30  # of a small matrix: they separate eigenvalues a billionth apart
 _MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
 _RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
 _WEAK_DAMPING = 5e-4, 2e-3  # of a velocity in a step: with less the step is that without damping, with more the whole
@@ -99,7 +99,7 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
 
 
 def _gain_factor(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:
-    """By how much the step is to be shortened since the run has gained energy by errors of the scheme: 1 to 4.
+    """Factor, 1 to 4, by which the step is shortened because the run has gained energy by errors of the scheme.
 
     In nonlinear motion the fast modes gain energy at steps at which a linear mode is stable, unless damping takes it.
     """
@@ -134,7 +134,7 @@ def _swings_from_clamp(state: PackedState, scene: Scene) -> jax.Array | bool:
 def _share_rest(rest: jax.Array, step: jax.Array, most: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Step [s] and largest number of steps of a window where the last two share the rest of the time [s] evenly.
 
-    Otherwise the steps of the last window alone would have quite another length.
+    Otherwise the steps of the last window would be much shorter than those before.
     """
     left = jnp.ceil(rest / step - SLACK)
     shared = left < most + SHORT_WINDOW
@@ -148,7 +148,7 @@ def _hold_length(base_length: jax.Array, state: PackedState, scene: Scene) -> ja
     Every change of the step changes the energy of the fast modes, which nothing takes away; and since the step falls
     where the sheet is stiff and rises where it is soft, a sheet that swings would gain energy in every period. So as
     long as nothing sticks to a tool and no tool moves, the step never rises. Where a gas fills a sheet that is damped,
-    it rises, for a gas of little volume is much stiffer than that of the sheet when it has been blown up.
+    it rises, since a gas of small volume is much stiffer than the same gas in the inflated sheet.
     """
     before = state.control.base_length
     longer = (base_length > before) & (before > 0.0)
@@ -176,8 +176,8 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
 
     How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
     begins with the last window's mode may miss another that has become the highest, and finds a step that is too long:
-    where it seems to rise, the search is done once more and thoroughly, as it is where no mode is known, or else the
-    rise is not believed.
+    where the step seems to rise, the search is repeated from noise, as where no mode is known; a smaller rise is
+    ignored.
     """
     bound, begin = element_step_bound(state, scene, active), state.nodes.mode
     if begin is None:
@@ -298,7 +298,7 @@ class _Lanczos(NamedTuple):
 
 
 def allocate_basis(places: int, real: jnp.dtype) -> jax.Array:
-    """Room for the vectors of a search, one after the other (3, several places)."""
+    """Workspace for the vectors of a search, one after the other (3, several places)."""
     return jnp.zeros((3, _MANY * places), real)
 
 

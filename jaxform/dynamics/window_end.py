@@ -117,7 +117,7 @@ def end_window(
 
 
 def _add_missed_starts(account: EnergyBalance, length: jax.Array) -> EnergyBalance:
-    """The account with the energy that the start of nodes misses whose first step has this length [s]."""
+    """The balance with the error of the kinetic energy of nodes set in motion, whose first step is `length` [s]."""
     for name, loss in (("released", "contact_loss"), ("started", "refinement_loss")):
         if (start := getattr(account, name)) is not None:
             missed = start * jnp.square(length)
@@ -246,7 +246,7 @@ def _health(
     kinetic, _, largest, _ = end
     held = strain + kinetic + sum(state.account.losses().values())
     excess = held - state.account.work - last_work(state, scene, volume)
-    # False for NaN, where energies overflow, and where energy vanished, too.
+    # False for NaN as well, where energies overflow, and where energy vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding
     finite = jnp.isfinite(largest + kinetic)
     status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)

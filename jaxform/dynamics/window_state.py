@@ -41,7 +41,7 @@ class WindowState:
     Attributes:
         nodes: Nodal fields. Positions (3, place) [m] are three rows where no derivative is taken, one array elsewhere.
         fields: The scene's user-defined fields, by name.
-        account: Energy account.
+        account: Energy balance so far.
         memory: History of the Prony terms (4 n_mode, capacity): their stress before the first step and at the window's
             end. None without Prony terms.
         landing_step: Step in which each node landed in this window (place,); NEVER for the others.

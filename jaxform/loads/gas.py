@@ -42,7 +42,7 @@ class Gas(Loading):
     Attributes:
         time: Knots (n_knot,) [s], increasing; all values at them are linear between and held before and after.
         mass_flow: Mass flow besides that of valve and vent (n_knot,) [kg/s]; negative where gas leaves.
-        temperature: Temperature of the gas at first, and of what flows in [K].
+        temperature: Initial temperature of the gas, and that of the gas that flows in [K].
         gas_constant: Specific gas constant R [J/(kg K)]: 287.06 of air.
         ambient_pressure: Absolute pressure outside [Pa].
         dead_volume: Volume of the gas beside that under the sheet [m^3]: of hoses, and under a flat sheet; closed by
@@ -78,7 +78,7 @@ class Gas(Loading):
 
     @property
     def _specific_energy(self) -> jax.Array:
-        """R T [J/kg] at first, and of what flows in."""
+        """R T [J/kg] of the initial gas, and of the gas that flows in."""
         return self.gas_constant * self.temperature
 
     def gas_volume(self, volume: jax.Array) -> jax.Array:
@@ -154,9 +154,9 @@ class Gas(Loading):
         return found
 
     def _after_isothermal(self, mass: jax.Array, interval: Interval) -> jax.Array:
-        """The mass [kg] at the end of an interval: exponential in what the pressure does to the flow, of second order.
+        """The mass [kg] at the end of an interval, by a second-order exponential integrator.
 
-        It is stable however fast the pressure follows; however long the interval, no pressure passes those beside it.
+        It is stable for any stiffness of the pressure; in a long interval no pressure passes those that drive the flow.
         """
         length = interval.length
         middle = interval.time - 0.5 * length
@@ -297,7 +297,7 @@ def make_gas(
 
 
 def _check_supply(pressure: ArrayLike, ambient: float, closed_by: str) -> None:
-    """Raises InputError for a vacuum inside the sheet, or for less than none."""
+    """Raises InputError for a supply of a vacuum inside the sheet, or below absolute zero pressure."""
     least, given = (0.0, "is below 0") if closed_by == "clamp" else (-ambient, "is not a pressure above vacuum")
     lowest = float(np.min(np.asarray(pressure, float)))
     if lowest < 0.0 and lowest <= least:

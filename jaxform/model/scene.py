@@ -80,8 +80,8 @@ class Solver:
             wall.
         self_contact: True if films stick to each other that meet back to back in a fold, a web.
         edge_contact: True if sides of elements are held at sharp edges of tools that they would pass between two nodes.
-        smooth_landing: True if nodes land on curved paths and stop at that very time, not at the end of a step, so that
-            slopes of a run follow the trend of its results, as far as its steps are short: with a safety of 0.6.
+        smooth_landing: True if nodes land on curved paths and stop at the time of impact, not at the end of a step.
+            With short steps (a safety of 0.6 or less) derivatives of a run then follow the trend of its results.
         max_steps: Largest number of steps of `run`.
     """
 
@@ -235,7 +235,7 @@ class Scene:
     def tool_warmth(self) -> tuple[tuple[jax.Array, jax.Array], ...] | None:
         """Heat transfer coefficient [W/(m^2 K)] and temperature [degC] of each surface; None where there is only one.
 
-        So it is where the mold alone cools the sheet by the numbers of `cooling`.
+        With a single surface, the mold cools the sheet by the parameters of `cooling`.
         """
         tools, cooling = [surface.mold for surface in self.surfaces], self.cooling
         own = any(tool.temperature is not None or tool.heat_transfer is not None for tool in tools)

@@ -187,12 +187,12 @@ class Precomputed:
         grid: Search structure of the mold, or None.
         tool_grids: Those of the other tools.
         neighbors: For the mold and the tools in their order, the triangles (n_triangle, 3) beside each side of a
-            triangle, signed and counted from 1 as in `State.wall`; empty where all of them stick.
+            triangle, signed and counted from 1 as in `Nodes.wall`; empty where all of them stick.
         edges: For the mold and the tools in their order, the sharp edges (4, n_edge) at which sides of elements are
             held: the vertices at their ends, then the third corner of both faces. Empty where sides are not held.
         initial_tool: The number (n_node,) of the surface that nodes touch at the start; None with a single surface.
         forest: Hierarchy that the mesh can be refined to, or None.
-        initial_contact: Mold triangles (n_node,) that nodes touch at the start of a run, signed as in `State.wall`;
+        initial_contact: Mold triangles (n_node,) that nodes touch at the start of a run, signed as in `Nodes.wall`;
             None where there is no contact.
         window_count: Number of windows that a run may take.
         planned: Number of windows planned for the expected stretch, where a larger one may occur: windows then become

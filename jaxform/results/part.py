@@ -233,7 +233,7 @@ def _on_mold(result: Result) -> NDArray[np.bool_]:
 
 
 def _crossing_elements(result: Result, scene: Scene) -> NDArray[np.int64]:
-    """Elements with a free node that cut another part of a sheet in a mold; of very many the thinnest are asked."""
+    """Elements with a free node that cut another part of a sheet in a mold; of many only the thinnest are tested."""
     none = np.zeros(0, np.int64)
     if scene.mold is None:
         return none

@@ -1,11 +1,11 @@
 """Thickness at the nodes from that of the elements, and its scatter around rings.
 
-A node's elements say what the thickness is at their middles. Where these lie evenly round the node their mean is of
-second order in the element size, since what flat triangles miss alternates from one to the next. Where a mesh changes
-its fineness they do not, and the mean is of first order only; so the linear function that fits them best is taken,
-which is the mean where they lie evenly. On a symmetry plane their images belong to them. At a rim all lie on one side,
-nothing cancels, and the functions of the nodes inside are carried on to there; but no further from the mean than as the
-elements at the rim differ, like a slope limiter: what lies flat on a flange is not as steep as the wall behind it.
+The elements around a node have the thickness at their centroids. Where the centroids are evenly distributed around the
+node, their mean is of second order in the element size, since the errors of flat triangles alternate in sign. Where the
+element size changes, the mean is of first order only; so the best linear fit is evaluated, which is the mean where the
+centroids are evenly distributed. On a symmetry plane the mirror images of the elements count as well. At a rim all
+elements are on one side and no errors cancel: the fits of the nodes inside are extrapolated, but no further from the
+mean than the range of the elements at the rim, like a slope limiter, since a flange is not as steep as the wall.
 
 (Zienkiewicz, Zhu: The superconvergent patch recovery, Int. J. Numer. Meth. Eng. 33 (1992) 1331-1364.)
 """

@@ -115,7 +115,7 @@ class Energy:
 
 
 def warnings_of_no_work(energy: Energy) -> list[str]:
-    """A sentence where the pressure did so little work that nothing moved which could be measured."""
+    """A sentence where the work of the pressure is below the resolution of the energy balance."""
     if bool(energy.measurable):
         return []
     work = max(abs(float(energy.work)), float(energy.peak_work))

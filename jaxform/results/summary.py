@@ -179,7 +179,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
 
 @with_standard_promotion
 def summarize_at_once(result: Result, scene: Scene) -> dict[str, Any]:
-    """The summary as far as it takes no time: the keys of `PENDING` are null, and a warning says so."""
+    """The summary without its slow entries: the keys of `PENDING` are null, and a warning says so."""
     unmeasured = (
         "the command was interrupted before the part was compared with the mold: penetration, gaps and folds are not "
         "known; run it again to get them"
@@ -364,7 +364,7 @@ def _warnings_of_ribs(beyond: Penetration, scene: Scene, name: str) -> list[str]
 
 
 def _remedy_at_edges(scene: Scene) -> str:
-    """The remedies for edges of tools that pass between nodes: those that the scene has not yet, and can have."""
+    """Remedies for edges of tools that pass between nodes: the options that the scene can use and does not."""
     if scene.refinement is not None:
         return "make parison.element_size smaller, or refinement.max_level larger"
     if scene.solver.edge_contact or scene.solver.smooth_landing:

@@ -122,7 +122,7 @@ class ContactRecord:
     def durations(self, result: Result) -> Array:
         """Times for which each node has touched each tool until a result (n_node, count) [s].
 
-        When a node has left a tool is known to the last record before; half the time since then is counted.
+        The time at which a node left a tool is known only to lie between two records: half of that interval is counted.
         """
         time, since = float(result.time), self._times[-1] if self._times else 0.0
         tool, landed = np.asarray(result.tool), np.asarray(result.contact_time, float)

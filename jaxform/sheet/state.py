@@ -1,4 +1,4 @@
-"""The state of a simulation, its schedule and energy account, and when it is finished."""
+"""The state of a simulation, its schedule and energy balance, and when it is finished."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ LOSS = {"loss": True}
 
 @pytree
 class EnergyBalance:
-    """Energy account of a run so far [J].
+    """Energy balance of a run so far [J].
 
     Attributes:
         volume: Enclosed before the last step [m^3]; where loads push regions of the sheet, by each of these (n_load,).
@@ -214,7 +214,7 @@ class State:
 
     Attributes:
         nodes: Its nodal fields, in the mesh's order; see `PackedState`.
-        account: Its energy account.
+        account: Its energy balance so far.
         control: Data for choosing step and window lengths.
         replay: Position in a schedule.
         mesh: Present triangles of the forest; None without refinement.
@@ -263,7 +263,7 @@ def initial_node_state(
     Args:
         scene: The scene.
         node: Their numbers; None for all nodes.
-        opened: True if the clamp is open, where it opens at some time: what it held is then as all other nodes.
+        opened: True if the clamp is open: its nodes are then like all others.
 
     Returns:
         `stuck`, `contact_time` [s], `wall` and `tool`, as in `Nodes`.
@@ -286,14 +286,14 @@ def initial_node_state(
     for number, surface in enumerate(scene.surfaces):
         if not surface.mold.contact.sticks:
             sticks = sticks & ~(tool == number) if tool is not None else jnp.zeros_like(touches)
-    # Sooner than any step, but later than what was clamped beforehand.
+    # Earlier than any step, but later than the time of clamped nodes.
     first = jnp.where(touches, jnp.finfo(time.dtype).tiny, time)
     return held | sticks, first, jnp.where(touches, touching, 0), tool
 
 
 def noise_vector(positions: jax.Array) -> jax.Array:
-    """Directions (3, n_node) without a pattern, the same every time: no mode is missing from them."""
-    # The same for a node whatever room there is for others.
+    """Pseudo-random directions (3, n_node), the same in every run, which contain every mode."""
+    # The same for a node at any capacity.
     number = jnp.arange(3, dtype=jnp.uint32)[:, None] + 3 * jnp.arange(positions.shape[1], dtype=jnp.uint32)[None]
     mixed = (number + 1) * jnp.uint32(2654435761)
     mixed = (mixed ^ (mixed >> 15)) * jnp.uint32(2246822519)
@@ -301,7 +301,7 @@ def noise_vector(positions: jax.Array) -> jax.Array:
 
 
 def clamp_is_open(state: State, scene: Scene) -> jax.Array:
-    """True from the window boundary on at which the clamp opens, where it does at some time."""
+    """True from the window boundary at which the clamp opens; always False where it never opens."""
     until = scene.parison.clamp_until
     if until is None:
         return jnp.asarray(False)

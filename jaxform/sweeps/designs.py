@@ -44,9 +44,9 @@ class DesignRow:
 
     Attributes:
         number: Its place in the sweep, from 1.
-        values: Its values by path; what is not there is as in the scene.
-        document: Its scene; None where it is none that can be simulated.
-        error: The fault of the row, in one line; empty where there is none.
+        values: Its values by path; all others are those of the scene.
+        document: Its scene; None if that cannot be simulated.
+        error: The error of the row, in one line; empty without one.
         digest: Hash of all that determines its result: values, scene, and contents of the files that it names.
     """
 
@@ -59,7 +59,7 @@ class DesignRow:
 
 @dataclasses.dataclass(frozen=True)
 class Rows:
-    """A table of designs as it was read or sampled.
+    """A table of designs, read from a file or sampled.
 
     Attributes:
         file: Its name in messages.
@@ -233,7 +233,7 @@ def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None
         about: Further input that determines the results, for the digest.
 
     Raises:
-        InputError: The scene is wrong whatever the row, or a column is no key in any row.
+        InputError: The scene is invalid for every row, or a column is not a key in any row.
     """
     read = cache(lambda name, folder: catalog.read(name, "scene", folder))
     hashed = cache(_file_digest)
@@ -312,7 +312,7 @@ def _file_digest(path: Path) -> str:
 
 
 def _refuse(table: Rows, errors: list[InputError]) -> None:
-    """Raises what is wrong with the scene itself or with a column, where that is the same for all rows."""
+    """Raises InputError for an error of the scene or of a column that is the same in all rows."""
     first = errors[0]
     columns = [re.sub(r"\[-?\d+\]", "", path) for path in table.paths]
     key = re.sub(r"\[-?\d+\]", "", first.key)

@@ -91,7 +91,7 @@ def set_up(setting: Setting) -> Worker:
 
 
 def this_process() -> str:
-    """A name of this process, other than that of any other of a cluster."""
+    """A name of this process that no other process of a cluster has."""
     return f"{platform.node()} {os.getpid()} {_BEGAN}"
 
 
@@ -100,7 +100,7 @@ _compiled = [0]
 
 
 def count_compiled() -> int:
-    """Number of programs that this process has compiled, and found nowhere."""
+    """Number of programs that this process has compiled because no cache had them."""
     return _compiled[0]
 
 
@@ -176,7 +176,7 @@ def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
 
 @contextlib.contextmanager
 def tell_warnings(tell: Callable[[str], object]) -> Iterator[None]:
-    """Warnings about a scene are told to a function; those of its run, which its summary has, are not shown."""
+    """Passes warnings about a scene to a function; warnings of its run are in its summary and are not shown."""
     with warnings.catch_warnings(), redirect_warnings(tell):
         warnings.simplefilter("ignore", InputWarning)
         yield

@@ -44,8 +44,8 @@ Row = dict[str, str]
 class Records:
     """The file results.csv of a sweep.
 
-    A row is written at its end in one piece and brought to the disk before the next. What was being written when the
-    process or the machine ended is cut off.
+    Rows are appended, each in one piece that is flushed to the disk before the next. A row that was incomplete when the
+    process or the machine stopped is cut off.
 
     Args:
         folder: Folder of the results.
@@ -76,10 +76,10 @@ class Records:
         return {name: text for name, text in self.rows[digest].items() if name not in self._given}
 
     def keep_only(self, heads: Mapping[str, Mapping[str, Any]]) -> None:
-        """Moves rows of designs that are no longer asked for to earlier.csv, so that nothing computed is lost.
+        """Moves rows of designs that are no longer requested to earlier.csv, so that no result is lost.
 
         Args:
-            heads: Number and values of the designs that are, by digest; the rows take them over.
+            heads: Number and values of the requested designs, by digest; the rows adopt them.
         """
         gone = [row for digest, row in self.rows.items() if digest not in heads]
         if gone:
@@ -174,7 +174,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def number(text: str | None) -> float | None:
-    """The number of a cell; None where it is none."""
+    """The number of a cell; None if it is not a number."""
     try:
         return float(text) if text else None
     except ValueError:

@@ -128,7 +128,7 @@ class Axis:
 
     @property
     def logarithmic(self) -> bool:
-        """True if the values span so much that an even scale hides the small ones."""
+        """True if the range of the values is so large that a linear scale hides the small ones."""
         known = self.values[np.isfinite(self.values)]
         return not self.names and bool(known.min() > 0 and known.max() > _WIDE * known.min())
 

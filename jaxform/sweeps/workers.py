@@ -119,8 +119,8 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 class DaskWorkers(Executor):
     """The workers of a Dask cluster.
 
-    A result is brought to this process the moment it is there, and then let go on the cluster: Dask computes a result
-    that is still wanted again where the worker that holds it ends.
+    A result is fetched as soon as it is available, and then released on the cluster: Dask would compute a retained
+    result again if the worker that holds it ended.
 
     Args:
         client: A `distributed.Client`.
@@ -147,13 +147,13 @@ class DaskWorkers(Executor):
         return str(self._client.scheduler.address)
 
     def look(self) -> None:
-        """Looks whether there are workers, and whether new ones have this version of jaxform.
+        """Checks that there are workers, and that new ones have this version of jaxform.
 
         Raises:
             InputError: One has not, or the scheduler is gone.
 
         Warns:
-            InputWarning: There are none; once for each time.
+            InputWarning: There are none; once each time this happens.
         """
         count = self._check_versions()
         if not count and not self._waiting:
@@ -355,7 +355,7 @@ class _Watch:
 
 
 def _check_workers(done: Future[Outcome]) -> None:
-    """Raises where a call has failed for a reason that is none of its own."""
+    """Raises where a call has failed for a reason other than its design."""
     error = CancelledError() if done.cancelled() else done.exception()
     if isinstance(error, CancelledError):
         words = str(error).splitlines()[-1] if str(error) else "it was shut down"
@@ -375,6 +375,6 @@ def _submit(executor: Executor, function: Callable[[Any], Any], argument: Any) -
 
 
 def _outcome(done: Future[Outcome]) -> Outcome:
-    """The outcome of a call; what kept it from being sent there and back is its status."""
+    """The outcome of a call; an error of sending it or its result is the status."""
     error = done.exception()
     return done.result() if error is None else Outcome(describe_error(error))
