@@ -26,7 +26,7 @@ _COSTS = ("iterations", "max_simulations", "minutes", "rounds")  # limits of the
 
 
 def check(study: Study) -> None:
-    """Raises InputError where a limit is asked for that no sheet within the bounds can keep."""
+    """Raises InputError for a limit that no sheet within the bounds can satisfy."""
     thickest = _thickest(study)
     for key, part in _parts(study.objective):
         if isinstance(part, LeastMass) and part.minimum * (1.0 - KEPT) > thickest:
@@ -40,8 +40,8 @@ def doubts(study: Study) -> list[str]:
     """A sentence for each variable whose start differs from the scene, and for each target that cannot be reached."""
     thickest = _thickest(study)
     return _moved_numbers(study) + [
-        f"{key}.thickness cannot be reached: it is {float(np.min(part.nodal)):.3g} m or more everywhere, and a sheet "
-        f"within the bounds makes a wall of {thickest:.3g} m on average at most, {_deviation(part, thickest):.0%} off; "
+        f"{key}.thickness cannot be reached: it is at least {float(np.min(part.nodal)):.3g} m everywhere, but the "
+        f"mean wall of a sheet within the bounds is at most {thickest:.3g} m, {_deviation(part, thickest):.0%} less; "
         f"check its unit (m), or {_thicker(study)}"
         for key, part in _parts(study.objective)
         if isinstance(part, Target) and part.limit is None and _deviation(part, thickest) > 0.0

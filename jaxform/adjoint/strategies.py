@@ -217,7 +217,7 @@ def check_gradient(
 
     A run with contact is smooth between the designs at which a decision changes (which node lands first, which level
     of step length is taken), so a large step may show a secant across such changes where `jax.grad` gives the slope at
-    one point: errors that fall as the step shrinks, and rise again when rounding takes over, are those of a right gradient.
+    one point: for a correct gradient the errors fall as the step shrinks, and rise again when rounding dominates.
     How far slope and secants are apart says how well the slope predicts a change of the design (`secant_error`).
 
     Args:

@@ -1,4 +1,4 @@
-"""The command `jaxform adapt`: a scene on a mesh that runs of it have made finer where the wall is less accurate."""
+"""The command `jaxform adapt`: writes a scene with a mesh that is finer where the wall is less accurate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", required=True, type=Path, help=f"folder for {NAME} and its mesh")
     words = "largest number of elements; by default that of parison.adapt, 2500, or that of SCENE if larger"
     parser.add_argument("--elements", metavar="N", type=int, help=words)
-    words = "how many times the sheet is run and meshed anew; by default that of parison.adapt, or 2"
+    words = "number of runs, each followed by a new mesh; by default that of parison.adapt, or 2"
     parser.add_argument("--passes", metavar="N", type=int, help=words)
     parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     parser.add_argument("--dtype", choices=("float64", "float32"), default="float64")
@@ -40,9 +40,7 @@ def adapt(arguments: argparse.Namespace) -> int:
     session.open_folder(arguments.out, arguments.force)
 
     def report(number: int, sheet: Sheet, error: float) -> None:
-        say(
-            f"run {number} with {len(sheet.triangles)} elements: the elements' wall is uncertain by {100 * error:.2g} %"
-        )
+        say(f"run {number} with {len(sheet.triangles)} elements: estimated error of their wall {100 * error:.2g} %")
 
     with files.error_context(document.file):
         first = geometry.build_sheet(adaptation.without_adaptation(document), store)
@@ -54,5 +52,5 @@ def adapt(arguments: argparse.Namespace) -> int:
 
 
 def describe(document: SceneDocument) -> str:
-    """A line on what will become of the mesh of a document."""
-    return f"the mesh of {document.name} is adapted before the run; what follows is of the mesh that it begins with"
+    """A line which says that the mesh of a document will be adapted."""
+    return f"the mesh of {document.name} is adapted before the run; the figures below are those of its first mesh"

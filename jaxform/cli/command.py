@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     swept = commands.add_parser("sweep", help=words, description=words)
     sweep_command.add_arguments(swept)
     swept.set_defaults(command=sweep_command.sweep)
-    words = "mesh a scene's sheet anew, finer where its wall is less accurate, and write the scene with that mesh"
+    words = "adapt the mesh of a scene's sheet: finer where its wall is less accurate; writes the scene with that mesh"
     adapted = commands.add_parser("adapt", help=words, description=words)
     adapt_command.add_arguments(adapted)
     adapted.set_defaults(command=adapt_command.adapt)

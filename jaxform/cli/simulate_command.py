@@ -127,7 +127,7 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path, tou
     if pieces := summary.get("flash"):
         low, high = (format_place(place) for place in pieces[0]["box"])
         say(
-            f"flash, no part of it: {1e3 * summary['flash_mass']:.3g} of {1e3 * summary['sheet_mass']:.3g} g, in "
+            f"flash (no part): {1e3 * summary['flash_mass']:.3g} of {1e3 * summary['sheet_mass']:.3g} g, in "
             f"{len(pieces)} piece{'s' * (len(pieces) > 1)}, the heaviest from {low} to {high}"
         )
     for tool in summary["tools"]:

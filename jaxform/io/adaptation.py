@@ -90,7 +90,7 @@ def _warn_of_error(error: float, elements: int) -> None:
     """Warns of a large error of the elements' wall, which falls with the root of their number."""
     if error > _DOUBTFUL:
         wanted = int(float(f"{elements * (error / _GOOD) ** 2:.1g}"))
-        problem = f"is too few elements for this wall: it is uncertain by about {100 * error:.0f} %"
+        problem = f"is too few elements: the estimated error of their wall is about {100 * error:.0f} %"
         warn_of(problem, f"allow about {wanted} for {100 * _GOOD:.0f} %", key="parison.adapt.elements", value=elements)
 
 

@@ -67,7 +67,7 @@ def warn_of_tools(scene: Scene, tools: Sequence[Mold], file: str = "") -> None:
         when = "at the start" if time == 0.0 else f"at {time:.3g} s"
         problem = f"meets {words_of(one)[0]} {when}, near {format_place(place)}: they pass through each other"
         key = words_of(other)[1]
-        remedy = f"change its way ({motion_key(other, 'displacement')}) or its place ({key}.translate)"
+        remedy = f"change its motion ({motion_key(other, 'displacement')}) or its place ({key}.translate)"
         warn_of(problem, remedy, key=key, file=file)
 
 
@@ -185,7 +185,7 @@ def _warn_of_reach(scene: Scene, tool: Mold, file: str) -> None:
     remedy = f"move it nearer ({key}.translate), or farther along its way ({motion_key(tool, 'displacement')})"
     if _moves_off(away, size):
         remedy = f"reverse {motion_key(tool, 'direction')}, or move it to the other side of the sheet ({key}.translate)"
-    warn_of(f"never reaches the sheet: it stays {side}{min(away):.3g} m from it or more", remedy, key=key, file=file)
+    warn_of(f"never reaches the sheet: it stays {side}at least {min(away):.3g} m from it", remedy, key=key, file=file)
 
 
 def _ways_from_sheet(scene: Scene, tool: Mold) -> tuple[list[float], bool]:

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 _REST = 0.1  # of the sheet's thickness, between the platen and the frame in the end
 _SHARES = (0.1, 0.5, 0.9)  # of the height, at which the narrowest part of the body is looked for
 _SLENDER = 2.5  # times its width: a higher body is not draped without webs that pass through each other
-_BOTTLE = "a bottle is blown, with --process extrusion-blow or stretch-blow"
+_BOTTLE = "for a bottle use --process extrusion-blow or stretch-blow"
 _SPECK = 0.02  # of the body's area: the smallest parts that are less together do not count
 
 

@@ -61,7 +61,7 @@ class Cooling:
         rate, loss = self._rates(temperature, wall, touching, density)
         return temperature - time * loss * _mean_decay(time * rate)
 
-    def rate(self, temperature: jax.Array, wall: jax.Array, touching: Touching, density: jax.Array) -> jax.Array:
+    def pace(self, temperature: jax.Array, wall: jax.Array, touching: Touching, density: jax.Array) -> jax.Array:
         """Cooling rate (n,) [K/s] of walls; arguments as in `cooled`."""
         return self._rates(temperature, wall, touching, density)[1]
 

@@ -53,7 +53,7 @@ def cool_state(
         due = there & (time > before.time)
         after = jax.tree.map(lambda new, old: jnp.where(due, new, old), ThermalState(change, now, felt), before)
         rows = [[after.change], [after.time], [after.felt]]
-        sums, cooling_rate = [], jnp.where(there, jnp.abs(cooling.rate(first + change, wall, share, density)), 0.0)
+        sums, cooling_rate = [], jnp.where(there, jnp.abs(cooling.pace(first + change, wall, share, density)), 0.0)
         if numbers is not None:
             rows += _rows(at_temperature(law, first_zones, first + after.felt))
         if numbers is not None and scene.stiffens:

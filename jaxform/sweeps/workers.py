@@ -249,7 +249,7 @@ def is_lost_worker(error: BaseException | None) -> bool:
 
 OK = "ok"
 LOST = (
-    "the process that computed it ended, twice: it was killed, as a system without memory does, or it crashed; use "
+    "the process that computed it ended twice: the system killed it for lack of memory, or it crashed; use "
     "fewer elements, or fewer workers"
 )
 RESUME = "start its workers again, then resume; recorded rows are kept"

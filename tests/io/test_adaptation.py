@@ -72,7 +72,7 @@ def test_the_command_writes_a_scene_that_is_more_accurate(tmp_path: Path, capsys
     path = _write(tmp_path, thickness=profile)
     assert main(["adapt", str(path), "--out", str(tmp_path / "out"), "--elements", "600"]) == 0
     told = capsys.readouterr().out
-    before, after = (float(x) for x in re.findall(r"uncertain by ([\d.]+) %", told))
+    before, after = (float(x) for x in re.findall(r"error of their wall ([\d.]+) %", told))
     assert before > 2 * after
     document = files.read_scene(tmp_path / "out" / "adapted.toml")
     assert document.model.parison.adapt is None and document.model.parison.mesh is not None
@@ -142,9 +142,7 @@ def test_a_mesh_of_another_sheet_is_refused(tmp_path: Path) -> None:
 
 def test_too_few_elements_are_a_warning_each_time(tmp_path: Path) -> None:
     document = files.read_scene(_write(tmp_path, "adapt = { elements = 20, passes = 1 }", elements=20))
-    words = (
-        r"parison\.adapt\.elements = (\d+): is too few elements for this wall: .* by about (\d+) %; allow about (\d+)"
-    )
+    words = r"parison\.adapt\.elements = (\d+): is too few elements: .* is about (\d+) %; allow about (\d+)"
     for _ in range(2):  # made, and kept from then on
         with pytest.warns(InputWarning, match=words) as caught:
             geometry.build_sheet(document)

@@ -272,7 +272,7 @@ def test_the_seed_decides() -> None:
         ('[[variable]]\npath = "a"\nbounds = [1.2, 1.4]\ninteger = true\n', "has no whole number between"),
         ('[[variable]]\npath = "a"\nbounds = [0.0, 1.0]\nvalues = [1]\n', "is given together with values"),
         ('method = "sobol"\n[[variable]]\npath = "a"\nbounds = [0.0, 1.0]\n', "sweep.designs: is missing"),
-        ('designs = 4\n[[variable]]\npath = "a"\nbounds = [0.0, 1.0]\n', "does not go with a full factorial"),
+        ('designs = 4\n[[variable]]\npath = "a"\nbounds = [0.0, 1.0]\n', "cannot be combined with a full factorial"),
         ('[[variable]]\npath = "a"\nvalues = [1]\n[[variable]]\npath = "a"\nvalues = [2]\n', "occurs twice"),
         ('table = "t.csv"\n[[variable]]\npath = "a"\nvalues = [1]\n', "is given together with table"),
         ('method = "random"\n[[variable]]\npath = "a"\nvalues = [1]\n', "sweep.method = 'random'"),

@@ -31,7 +31,7 @@ class Adapt(Table):
     Attributes:
         elements: Largest number of triangles of the new mesh; by default 2500, or that of the first mesh where it is
             larger.
-        passes: Number of times that the sheet is run and then meshed anew.
+        passes: Number of runs, each followed by a new mesh.
     """
 
     elements: Annotated[int, Field(ge=20, le=10_000_000)] | None = None

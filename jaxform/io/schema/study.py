@@ -436,7 +436,7 @@ class SweepTable(Table):
         if self.table is not None:
             return self
         if (self.designs is None) == (self.method != "factorial"):
-            problem = "is missing" if self.designs is None else "does not go with a full factorial"
+            problem = "is missing" if self.designs is None else "cannot be combined with a full factorial"
             remedy = "give their number" if self.designs is None else "leave it out, or choose another method"
             raise validation_error(problem, remedy, "designs", self.designs)
         paths = [variable.path for variable in self.variable]
