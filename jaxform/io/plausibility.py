@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import format_place, warn_of
-from jaxform.loads import Gas, RegionalLoad, list_gases
+from jaxform.loads import Gas, RegionalLoad, TwoSidedLoad, list_gases
 from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
 from jaxform.mesh import topology
@@ -79,11 +79,23 @@ def find_meetings(scene: Scene) -> list[tuple[Mold, Mold, float, Array]]:
         they meet [s], and a place where they do (3,) [m].
     """
     found = []
-    for one, other in itertools.combinations(scene.surfaces, 2):
+    # Half of a blow pin is beyond the plate in the symmetry plane, where nothing is simulated.
+    surfaces = [surface for surface in scene.surfaces if _plane_of(scene, surface.mold) is None]
+    for one, other in itertools.combinations(surfaces, 2):
         meeting = _find_meeting(scene, one, other)
         if meeting is not None:
             found.append((one.mold, other.mold, *meeting))
     return found
+
+
+def _plane_of(scene: Scene, tool: Mold) -> int | None:
+    """Axis of the symmetry plane in which a tool at rest lies, as that of a parting plane does; else None."""
+    if tool.motion is not None:
+        return None
+    near = _SAME * float(np.ptp(_used_places(scene), axis=0).max())
+    places = np.asarray(tool.vertices, float)[np.unique(np.asarray(tool.triangles))]
+    planes = symmetry_planes(scene).items()
+    return next((axis for axis, level in planes if np.abs(places[:, axis] - level).max() <= near), None)
 
 
 def _find_meeting(scene: Scene, one: ContactSurface, other: ContactSurface) -> tuple[float, Array] | None:
@@ -181,11 +193,42 @@ def _warn_of_reach(scene: Scene, tool: Mold, file: str) -> None:
         problem = f"never reaches the sheet: it begins to move at {begin:g} s, and the run ends at {end:g} s"
         warn_of(problem, f"let it begin earlier ({motion_key(tool, 'time')})", key=key, file=file)
         return
+    if _way_left(scene, tool) > 0.0 or _passes_through(scene, tool):
+        return  # what is left of its way is said of the motion
     side = "on the side from which the pressure pushes the sheet away, " if np.any(pushes) else ""
     remedy = f"move it nearer ({key}.translate), or farther along its way ({motion_key(tool, 'displacement')})"
     if _moves_off(away, size):
         remedy = f"reverse {motion_key(tool, 'direction')}, or move it to the other side of the sheet ({key}.translate)"
     warn_of(f"never reaches the sheet: it stays {side}at least {min(away):.3g} m from it", remedy, key=key, file=file)
+
+
+def _passes_through(scene: Scene, tool: Mold) -> bool:
+    """True if a tool crosses the initial sheet on its way, however far apart the times are at which it is looked at."""
+    if tool.motion is None:
+        return False
+    positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    shifts = offsets_of(tool, np.linspace(0.0, end_of_way(scene, tool), _TIMES))
+    far = shifts @ np.asarray(tool.motion.direction, float)
+    first, last = shifts[np.argmin(far)], shifts[np.argmax(far)]
+    sheet = make_mold(positions, triangles)
+    for begin, shift, crossed in (
+        (np.asarray(tool.vertices, float) + first, last - first, sheet),
+        (_used_places(scene) - first, first - last, tool),
+    ):
+        grid = build_grid(np.asarray(crossed.vertices, float), np.asarray(crossed.triangles))
+        if len(proper_crossings(begin, begin + shift, crossed, grid)[0]):
+            return True
+    return False
+
+
+def _way_left(scene: Scene, tool: Mold) -> float:
+    """Distance [m] of a tool from the end of its way when the run ends; 0 where it is nearly there."""
+    if tool.motion is None:
+        return 0.0
+    times = np.asarray(tool.motion.time, float)
+    now, last = offsets_of(tool, np.array([min(float(scene.solver.end_time), times[-1]), times[-1]]))
+    left, longest = float(np.linalg.norm(last - now)), float(np.abs(np.asarray(tool.motion.displacement, float)).max())
+    return left if left > _FARTHER * longest else 0.0
 
 
 def _ways_from_sheet(scene: Scene, tool: Mold) -> tuple[list[float], bool]:
@@ -245,6 +288,7 @@ def warn_of_land(scene: Scene, tables: Any, file: str) -> None:
         tool = surface.mold
         land = np.asarray(tool.triangles)[~np.asarray(mask)]
         vertices = tool.vertices_at(end_of_way(scene, tool))
+        _warn_of_open_half(scene, tool, vertices[np.unique(land)], file)
         for places, words in ((points, "extends"), (spread, "is spread")):
             beyond = find_beyond_land(places, vertices, land)
             if beyond.any():
@@ -254,6 +298,21 @@ def warn_of_land(scene: Scene, tables: Any, file: str) -> None:
                 )
                 warn_of(problem, "make it wider, or the sheet shorter", key=f"{words_of(tool)[1]}.land", file=file)
                 break
+
+
+def _warn_of_open_half(scene: Scene, tool: Mold, land: Array, file: str) -> None:
+    """Warns of a mold half whose land (n, 3) [m] ends before the symmetry plane, where it would meet its image."""
+    sides, size = np.ptp(land, axis=0), float(np.ptp(_used_places(scene), axis=0).max())
+    axis = int(np.argmin(sides))
+    level = symmetry_planes(scene).get(axis)
+    if level is None or sides[axis] > _SAME * sides.max():
+        return
+    name, plane = words_of(tool)[0], f"the symmetry plane {'xyz'[axis]} = {level:g} m"
+    gap = float(np.abs(land[:, axis] - level).min())
+    if gap > _SAME * size:
+        problem = f"the land of {name} ends {1e3 * gap:.3g} mm from {plane}, so that it pinches nothing"
+        key = motion_key(tool, "displacement") if tool.motion is not None else f"{words_of(tool)[1]}.translate"
+        warn_of(problem, "let it end in the plane", key=key, file=file)
 
 
 def _spread(parison: Any, points: Array) -> Array:
@@ -293,19 +352,48 @@ _IDLE_ENERGY = 500.0  # J/mol: plastics have 2e4 to 5e5
 _COLD = 150.0  # K: no gas is blown in as cold
 _RARE, _FAINT = 5000.0, 100.0  # Pa: no surroundings and no supply have less, but for a vacuum of 0
 _ROOMY = 100.0  # cubes as wide as sheet and tools: no hoses and no cavity have more
+_LATE = 100.0  # times the end of the run: no process is cut short as far before its last knot
+_HEAVY = 500.0  # m/s^2: gravity is 9.81
 _WAVE = 8.0  # times c over the density: the square of the speed of a wave along the sheet
 
 
 def warn_of_units(scene: Scene, file: str = "") -> None:
-    """Warns of likely unit errors in numbers of the material, of temperatures, of gases, of friction and of motion."""
+    """Warns of likely unit errors in numbers of material, temperatures, loads, gravity, friction and motion."""
     _warn_of_modes(scene, file)
     _warn_of_shift(scene, file)
     if scene.cooling is not None and scene.parison.temperature is not None:
         _warn_of_surroundings(scene, scene.cooling, np.asarray(scene.parison.temperature, float), file)
     for key, gas in list_gases(scene.pressure).items():
         _warn_of_gas(scene, gas, key, file)
+    _warn_of_times(scene, file)
+    _warn_of_gravity(scene, file)
     _warn_of_friction(scene, file)
     _warn_of_motion(scene, file)
+
+
+def _warn_of_times(scene: Scene, file: str) -> None:
+    """Warns of a pressure or gas of which the last knot is so long after the run that its times are in another unit."""
+    load, end = scene.pressure, float(scene.solver.end_time)
+    loads: dict[str, Any] = {"pressure": load.inside if isinstance(load, TwoSidedLoad) else load}
+    if isinstance(load, RegionalLoad):
+        loads = {"pressure": next((part for part in load.loads if not isinstance(part, Gas)), None)}
+    for key, part in {**loads, **list_gases(load)}.items():
+        time = getattr(part, "time", None)
+        if (key == "pressure" and isinstance(part, Gas)) or time is None:
+            continue
+        knots = np.atleast_1d(np.asarray(time, float))
+        if knots[-1] > _LATE * end:
+            problem = f"goes on to {knots[-1]:g} s, and the run ends at {end:g} s: is it in milliseconds?"
+            warn_of(problem, "give s", key=f"{key}.time", value=knots.tolist(), file=file)
+
+
+def _warn_of_gravity(scene: Scene, file: str) -> None:
+    if scene.solver.gravity is None:
+        return
+    gravity = np.asarray(scene.solver.gravity, float)
+    if np.linalg.norm(gravity) > _HEAVY:
+        problem, remedy = "is very large: is it in mm/s^2?", "give m/s^2: 9.81 on the ground"
+        warn_of(problem, remedy, key="solver.gravity", value=gravity.tolist(), file=file)
 
 
 def _warn_of_friction(scene: Scene, file: str) -> None:
@@ -392,16 +480,20 @@ def _warn_of_gas(scene: Scene, gas: Gas, key: str, file: str) -> None:
 
 
 def _warn_of_motion(scene: Scene, file: str) -> None:
-    """Warns of a mold or tool that is faster than waves in the sheet."""
+    """Warns of a mold or tool that is faster than waves in the sheet, or still on its way when the run ends."""
     for tool in (surface.mold for surface in scene.surfaces):
         if tool.motion is None:
             continue
+        time, end = np.asarray(tool.motion.time, float).tolist(), float(scene.solver.end_time)
+        if time[0] < end and (left := _way_left(scene, tool)):
+            problem = f"{words_of(tool)[0]} is {left:.3g} m from the end of its way when the run ends, at {end:g} s"
+            remedy = "give s, let it move earlier, or raise solver.end_time"
+            warn_of(problem, remedy, key=motion_key(tool, "time"), value=time, file=file)
         speed = tool.motion.mean_speeds().max()
         wave = float(np.sqrt(_WAVE * scene.law.stiffness_at_once().mean() / scene.material.density.mean()))
         if speed > wave:
             problem = f"{words_of(tool)[0]} moves at {speed:.3g} m/s, faster than waves in the sheet ({wave:.3g} m/s)"
             remedy = "give s and m, or move it more slowly"
-            time = np.asarray(tool.motion.time, float).tolist()
             warn_of(problem, remedy, key=motion_key(tool, "time"), value=time, file=file)
 
 

@@ -270,7 +270,8 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
     units = "Pa, kg/s, m^2, m^3 and s" if follows else "Pa"
     if load < _WEAK:
         parison = scene.parison
-        if scene.moves or (parison.clamp_until is not None and parison.pre_stretch is not None):
+        moves = scene.moves or (parison.clamp_until is not None and parison.pre_stretch is not None)
+        if moves and not largest:
             return
         what = f"the pressure, up to {largest:.2g} Pa, hardly moves the sheet" if largest else "there is no pressure"
         remedy = f"a sheet of this stiffness needs {stiffness * seen.thinness:.1g} Pa or more; give {units}"

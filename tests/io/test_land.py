@@ -1,4 +1,4 @@
-"""Warnings of a sheet that reaches beyond the land of a mold half, where nothing pinches it."""
+"""Warnings of a sheet that reaches beyond the land of a mold half, and of a half that does not close."""
 
 from __future__ import annotations
 
@@ -35,4 +35,28 @@ def test_film_beyond_the_land_is_warned_of(tmp_path: Path, old: str, new: str, w
 def test_a_land_that_covers_the_sheet_is_no_warning(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text(re.sub("land = 0.035", "land = 0.031", SCENE))
+    jaxform.load(file)  # warnings are errors here
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "millimetres"),
+    [
+        ("displacement = [0.0, 0.02]", "displacement = [0.0, 0.018]", "2"),
+        ("[-1.0, 0.0, 0.0]", "[0.0, -1.0, 0.0]", "20"),
+    ],
+)
+def test_a_half_that_ends_before_the_symmetry_plane_is_warned_of(
+    tmp_path: Path, old: str, new: str, millimetres: str
+) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(SCENE.replace(old, new))
+    words = f"motion.displacement: .* ends {millimetres} mm from the symmetry plane x = 0 m, so that it pinches nothing"
+    with pytest.warns(jaxform.InputWarning, match=words):
+        jaxform.load(file)
+
+
+def test_a_blow_pin_does_not_meet_the_parting_plane(tmp_path: Path) -> None:
+    """The plate is behind the symmetry plane by a rounding, of float32 too: by 0.02 mm. Half of the pin is beyond."""
+    file = tmp_path / "scene.toml"
+    file.write_text(SCENE.replace("translate = [0.0, -0.07, -0.01]", "translate = [-2.0e-5, -0.07, -0.01]"))
     jaxform.load(file)  # warnings are errors here

@@ -248,6 +248,11 @@ CUP = {"shape": "revolved", "profile": [[0.0, 0.05], [0.07, 0.05], [0.1, 0.0]], 
             [_plug(radius=20.0, length=50.0, translate=[0.0, 0.0, -0.5])],
             ["tool.plug: the tool plug is 250 times .*milli"],
         ),
+        # In milliseconds, or in a run that ends too early: it is said once.
+        (
+            [_plug(time=[0.0, 50.0])],
+            ["tool.plug.time = .*: the tool plug is 0.03 m from the end of its way when the run ends, at .*; give s"],
+        ),
         ([_plug(time=[0.0, 1e-4])], ["tool.plug.time = .*: the tool plug moves at 300 m/s, faster than waves"]),
         (
             [PLUG, _plug(name="stop", translate=[0.01, 0.0, -0.001], direction=None, time=None, displacement=None)],
@@ -269,6 +274,19 @@ def test_check_warns_of_tools(tools: Any, words: list[str]) -> None:
     assert len(told) == len(words), told
     for text, expected in zip(told, words, strict=True):
         assert re.match(f"s.toml: {expected}", text), text
+
+
+def test_a_plug_that_passes_through_the_sheet_reaches_it() -> None:
+    """However fast and thin: no time at which it is looked at has it near to a node."""
+    pin = _plug(radius=0.004, length=0.01, translate=[0.021, 0.013, -0.02], displacement=[0.0, 0.05])
+    document = _document([pin], pressure={"time": [0.0], "value": [0.0]})
+    scene = files.build_unchecked(document)
+    away, _ = plausibility._ways_from_sheet(scene, scene.tools[0])
+    assert min(away) > 1e-4 * 0.2
+    told: list[str] = []
+    with errors.redirect_warnings(told.append):
+        files.review_scene(scene, document)
+    assert told == []
 
 
 def test_tools_meet_where_they_do() -> None:
@@ -304,6 +322,7 @@ def test_a_revolved_mold_and_plug_need_no_number_of_segments() -> None:
     profile = [[0.0, 0.05], [0.07, 0.05], [0.1, 0.0]]
     plug = {"name": "plug", "shape": "revolved", "profile": [[0.0, -0.01], [0.02, -0.02]]}
     scene = files.build_unchecked(_document([plug], mold={"shape": "revolved", "profile": profile}))
+    assert scene.mold is not None
     np.testing.assert_array_equal(scene.mold.vertices, molds.revolved(profile=profile, segments=96).vertices)
     assert len(scene.tools[0].vertices) == 97
     miss = 0.1 - np.linalg.norm(np.asarray(scene.mold.vertices)[-2:, :2].mean(0))

@@ -155,3 +155,27 @@ def test_the_summary_has_such_warnings(tmp_path: Path) -> None:
     told = json.loads((tmp_path / "out" / "summary.json").read_text())["warnings"]
     assert any("modulus is in Pa" in sentence for sentence in told)
     assert np.sum(["modulus is in Pa" in sentence for sentence in told]) == 1
+
+
+SLOW_GAS = "[gas]\ntime = [0.0, 100.0]\nmass_flow = [0.0, 1e-3]\ndead_volume = 1e-4\n"
+
+
+def test_times_in_milliseconds_and_gravity_in_millimetres_are_told(tmp_path: Path) -> None:
+    """A plug alone may move the sheet; a pressure in bar beside it is a slip, none is not."""
+    begin, end = scenes.FILE.index("[pressure]"), scenes.FILE.index("[mold]")
+    pressure = "[pressure]\ntime = [0.0, {}]\nvalue = [0.0, {}]\n"
+    plug = (
+        '[[tool]]\nname = "plug"\nshape = "rod"\nradius = 0.02\nlength = 0.05\ntranslate = [0.0, 0.0, -0.001]\n'
+        "direction = [0.0, 0.0, 1.0]\ntime = [0.0, 0.05]\ndisplacement = [0.0, 0.03]\n"
+    )
+    heavy = scenes.FILE.replace("[solver]", "[solver]\ngravity = [0.0, 0.0, -9810.0]")
+    for load, further, words in (
+        (pressure.format(200.0, 2e4), "", r"pressure\.time = .*: goes on to 200 s, .* milliseconds\?; give s"),
+        (SLOW_GAS, "", r"gas\.time = .*: goes on to 100 s, and the run ends at"),
+        (pressure.format(0.1, 0.5), plug, r"the pressure, up to 0\.5 Pa, hardly moves the sheet"),
+        (pressure.format(0.1, 0.0), plug, ""),
+    ):
+        told = _collect_warnings(tmp_path, scenes.FILE[:begin] + load + scenes.FILE[end:] + further)
+        assert [bool(re.search(words, text)) for text in told] == [True] * bool(words), told
+    (told,) = _collect_warnings(tmp_path, heavy)
+    assert re.search(r"solver\.gravity = .*: is very large: is it in mm/s\^2", told)
