@@ -64,7 +64,7 @@ def refine(
     if mesh is None or adaptivity is None:
         return state, discrete
     if schedule is not None and schedule.split_at is not None:
-        planned = schedule.split_at <= schedule.upcoming(state.replay.row)
+        planned = schedule.split_at <= schedule.next_row(state.replay.row)
         due = jnp.any(planned & (mesh.split_at == NEVER))
         wanted = functools.partial(_planned_queue, planned=planned)
     else:
@@ -222,7 +222,7 @@ def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivit
     capacity = padded_length(mesh.element.size)
     blocks = mesh.element_count // BLOCK + 1
 
-    def work(
+    def compute_block(
         element: jax.Array, neighbor: jax.Array, element_shape: jax.Array, fine: jax.Array, area: jax.Array
     ) -> Any:
         level = element_levels(element, forest)
@@ -237,7 +237,7 @@ def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivit
     across = mesh.sides[forest.half_edges[:, mesh.element] ^ 1]
     lists = mesh.element, across, shapes[:, : mesh.element.size], fine, sheet.area
     inputs = tuple(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, capacity - x.shape[-1])]) for x in lists)
-    (marks,), _ = over_blocks(work, blocks, inputs, [jnp.zeros((1, capacity), bool)])
+    (marks,), _ = over_blocks(compute_block, blocks, inputs, [jnp.zeros((1, capacity), bool)])
     return marks[0, : mesh.element.size]
 
 
@@ -248,7 +248,7 @@ def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, gr
     rows = membrane.unstack_rows(positions)
     thickness = discrete.thickness[discrete.whole.element]
 
-    def work(triangles: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
+    def compute_block(triangles: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
         first, edge1, edge2 = membrane.edges(rows, triangles)
         normal = membrane.cross(edge1, edge2)
         size = jnp.sqrt(jnp.maximum(membrane.dot(normal, normal), jnp.finfo(area.dtype).tiny))
@@ -260,7 +260,7 @@ def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, gr
 
     inputs = elements.triangles, elements.area, thickness
     into = [jnp.zeros((5, thickness.size), thickness.dtype)]
-    (found,), _ = over_blocks(work, elements.block_count, inputs, into)
+    (found,), _ = over_blocks(compute_block, elements.block_count, inputs, into)
     return found
 
 

@@ -166,7 +166,7 @@ def add_loss_cotangents(
     forces, _ = corner_forces(load, elements, corners[3:])
     number, _, _, velocity_step = step
 
-    def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
+    def compute_block(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
         flies = landed > number
         nodal = add_gravity(gather_shares(forces, own), mass, now.scene.solver.gravity)
         before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now)
@@ -178,7 +178,7 @@ def add_loss_cotangents(
     kept = now.stored_velocities(number + 1)
     inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, nodes.speeds, kept
     into = [nodes.velocities, nodes.force]
-    new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
+    new, _ = over_blocks(compute_block, elements.node_block_count, inputs, into, update=2)
     return nodes._replace(velocities=new[0], force=new[1]), [*corners[:3], *forces]
 
 
@@ -203,7 +203,7 @@ def step_nodes_back(
     number, length, early_velocity_step, velocity_step = step
     half = _half_damping(velocity_step, damping)
 
-    def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
+    def compute_block(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
         at, after, position, velocity, (power,), *more = old
         flies = landed > number
         both = gather_shares(corners, own)
@@ -232,7 +232,7 @@ def step_nodes_back(
     updated += [nodes.mass[None]] if damping is not None else []
     count = int(damping is not None)
     new, sums = over_blocks(
-        work, elements.node_block_count, inputs, [*updated, nodes.force], sums=count, update=len(updated)
+        compute_block, elements.node_block_count, inputs, [*updated, nodes.force], sums=count, update=len(updated)
     )
     at, before, position, velocity, (power,), *more, force = new
     nodes = nodes._replace(at=at, speeds=before, positions=position, velocities=velocity, force=force, compliance=power)

@@ -168,7 +168,7 @@ def _begin_reverse_steps(kept: _WindowResiduals, now: ReverseWindow) -> tuple[Re
         load = Load(positions, now.thickness, now.pressure[n], now.material)
         corners, _ = corner_forces(load, elements, corners)
 
-        def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any, beyond: Any) -> Any:
+        def compute_block(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any, beyond: Any) -> Any:
             positions, velocities, before = old
             nodal = add_gravity(gather_shares(corners, own), mass, now.scene.solver.gravity)
             new, _ = update_velocity(nodal, velocities, (landed < n, mass, compliance), now.velocity_step[n], damping)
@@ -182,7 +182,7 @@ def _begin_reverse_steps(kept: _WindowResiduals, now: ReverseWindow) -> tuple[Re
 
         inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, end, beyond
         into = [positions, velocities, before, ArraySlice(speeds, (n + 1) * places, places)]
-        new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=3)
+        new, _ = over_blocks(compute_block, elements.node_block_count, inputs, into, update=3)
         return n + 1, *new, corners
 
     speeds = jnp.zeros((3, (SHORT_WINDOW + 1) * places), begin.dtype).at[:, :places].set(velocities)

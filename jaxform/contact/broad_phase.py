@@ -69,7 +69,7 @@ def check_nodes(
         frame: The frame of the tool, where that moves; the list is that of places in it.
     """
 
-    def work(stuck: Any, positions: Any, velocities: Any, spheres: Any) -> Any:
+    def compute_block(stuck: Any, positions: Any, velocities: Any, spheres: Any) -> Any:
         start, clear_square, near_square, center, alarm_square, unwatched_square = spheres
         if frame is not None:
             positions, velocities = frame.places(positions), frame.speeds(velocities)
@@ -89,7 +89,7 @@ def check_nodes(
         candidates.unwatched_square,
     )
     inputs = stuck, positions, velocities, spheres
-    _, (close, touching) = over_blocks(work, node_block_count, inputs, [], sums=2)
+    _, (close, touching) = over_blocks(compute_block, node_block_count, inputs, [], sums=2)
     return close > 0, (touching > 0) & ~last[0]
 
 
@@ -137,7 +137,7 @@ def find_active_pairs(
         frame: The frame of the tool, as in `check_nodes`.
     """
 
-    def work(stuck: Any, touches: Any, positions: Any, spheres: Any) -> Any:
+    def compute_block(stuck: Any, touches: Any, positions: Any, spheres: Any) -> Any:
         start, clear_square, center, alarm_square = spheres
         positions = positions if frame is None else frame.places(positions)
         touching = ~touches & _has_moved(positions, start, clear_square)
@@ -158,7 +158,7 @@ def find_active_pairs(
         (candidates.start, candidates.clear_square, candidates.center, candidates.alarm_square),
     )
     into = [jnp.zeros((1, stuck.size), bool)]
-    (touching,), (count, leaving) = over_blocks(work, node_block_count, inputs, into, sums=2)
+    (touching,), (count, leaving) = over_blocks(compute_block, node_block_count, inputs, into, sums=2)
     _, listed = all_blocks(candidates)
     none, _ = no_active_pairs(candidates)
     return jax.lax.fori_loop(0, jnp.where(count > 0, listed, 0), add, none), leaving > 0

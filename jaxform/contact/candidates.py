@@ -122,7 +122,7 @@ def bounding_spheres(
     steps, scale = ahead.steps_in_attempt(attempt), jnp.exp2(jnp.minimum(ahead.halvings - attempt, 0.0))
     duration, longest, least = steps * ahead.length, 0.5 * ahead.travel(steps), ahead.travel(_LEAP)
 
-    def work(positions: jax.Array, velocities: jax.Array, free: jax.Array) -> Any:
+    def compute_block(positions: jax.Array, velocities: jax.Array, free: jax.Array) -> Any:
         path = duration * velocities
         half = 0.5 * jnp.sqrt(dot(path, path))
         # The longest path covers what neighbours hand on, the reach's share the start from rest.
@@ -137,7 +137,7 @@ def bounding_spheres(
         looks = jnp.where(near, end - begin, 0)
         return [[x, y, z, radius, bound], [begin, end], [near], [jnp.full_like(x, jnp.inf)]], [looks]
 
-    arrays, (looks,) = over_blocks(work, blocks, nodes, list(into), sums=1)
+    arrays, (looks,) = over_blocks(compute_block, blocks, nodes, list(into), sums=1)
     real, places, near, clear = arrays
     return (real, places, near), clear[0], looks
 
@@ -170,7 +170,7 @@ def candidate_squares(
     duration = ahead.length * ahead.steps_in_attempt(attempt)
     leap, way = ahead.travel(_LEAP), ahead.travel(LOOK_EVERY)
 
-    def work(velocities: jax.Array, free: jax.Array, sphere: Any, near: jax.Array, clear: jax.Array) -> Any:
+    def compute_block(velocities: jax.Array, free: jax.Array, sphere: Any, near: jax.Array, clear: jax.Array) -> Any:
         radius, bound = sphere[3], sphere[4]
         limit = jnp.where(free, jnp.where(near[0], radius, bound), jnp.inf)
         path = duration * jnp.sqrt(dot(velocities, velocities))
@@ -182,7 +182,7 @@ def candidate_squares(
 
     (real, _, near), clear = arrays
     inputs = *nodes, real, near, clear
-    return over_blocks(work, blocks, inputs, [into])[0][0]
+    return over_blocks(compute_block, blocks, inputs, [into])[0][0]
 
 
 # Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not

@@ -224,11 +224,11 @@ def list_near_sides(
 def leaves_list(near: NearSides, places: Any, blocks: jax.Array) -> jax.Array:
     """True where a node, at places three times (n_node,) [m], leaves the sphere for which sides were listed."""
 
-    def work(places: Any, center: jax.Array, square: jax.Array) -> Any:
+    def compute_block(places: Any, center: jax.Array, square: jax.Array) -> Any:
         away = minus(vector(places), vector(center))
         return [], [dot(away, away) > square]
 
-    _, (gone,) = over_blocks(work, blocks, (vector(places), near.center, near.square), [], sums=1)
+    _, (gone,) = over_blocks(compute_block, blocks, (vector(places), near.center, near.square), [], sums=1)
     return gone > 0
 
 

@@ -94,7 +94,7 @@ class ContactStep(NamedTuple):
 
 def apply_contact(
     landing: Landing,
-    now: ContactStep,
+    step: ContactStep,
     due: Sequence[DueBlocks],
     mass: tuple[jax.Array, jax.Array | None],
     candidates: Sequence[Candidates],
@@ -107,7 +107,7 @@ def apply_contact(
 
     Args:
         landing: The nodes after the step without contact; `loss` is the kinetic energy lost so far [J].
-        now: The step. The positions before it follow from the velocities and its length, so that they need not be
+        step: The step. The positions before it follow from the velocities and its length, so that they need not be
             copied.
         due: Blocks of the list of each surface with nodes that can touch it in this step.
         mass: Nodal masses (n_node,) [kg], and compliances (3, n_node) [1/kg] where nodes may slide or a tool
@@ -121,25 +121,25 @@ def apply_contact(
     count = sum(count for _, count in due)
     return lax_cond_once(
         jnp.asarray(count) > 0,
-        lambda both: _place_hit_nodes(*both, now, mass, candidates, due, surfaces, known, curve),
+        lambda both: _place_hit_nodes(*both, step, mass, candidates, due, surfaces, known, curve),
         (landing, workspace),
     )
 
 
 def apply_known_contact(
     landing: Landing,
-    now: ContactStep,
+    step: ContactStep,
     chosen: jax.Array,
     mass: tuple[jax.Array, jax.Array | None],
     surfaces: tuple[ContactSurface, ...],
 ) -> Landing:
     """Moves nodes to where each lands on its chosen triangle in this step, by `place_on_surfaces`; differentiable."""
 
-    def place(landing: Landing, now: ContactStep, mass: tuple[jax.Array, jax.Array | None], surfaces: Any) -> Landing:
-        return place_on_surfaces(landing, now, mass, surfaces, chosen, differentiable=True)
+    def place(landing: Landing, step: ContactStep, mass: tuple[jax.Array, jax.Array | None], surfaces: Any) -> Landing:
+        return place_on_surfaces(landing, step, mass, surfaces, chosen, differentiable=True)
 
     any_lands = jnp.any(chosen >= 0)
-    return jax.lax.cond(any_lands, jax.checkpoint(place), lambda landing, *_: landing, landing, now, mass, surfaces)
+    return jax.lax.cond(any_lands, jax.checkpoint(place), lambda landing, *_: landing, landing, step, mass, surfaces)
 
 
 def first_numbers(surfaces: tuple[ContactSurface, ...]) -> list[int]:
@@ -282,7 +282,7 @@ def _update_hits(found: FirstHits, block: tuple[jax.Array, jax.Array, jax.Array,
 def _place_hit_nodes(
     landing: Landing,
     workspace: FirstHits,
-    now: ContactStep,
+    step: ContactStep,
     mass: tuple[jax.Array, jax.Array | None],
     candidates: Sequence[Candidates],
     due: Sequence[DueBlocks],
@@ -293,7 +293,7 @@ def _place_hit_nodes(
     """The landing of the nodes that met a surface, one after the other, since they are few; not differentiable."""
     nodes, met = landing.nodes, workspace
     for number, (surface, first) in enumerate(zip(surfaces, first_numbers(surfaces), strict=False)):
-        path_ends = functools.partial(_path_ends, nodes, now.length, now.frames[number])
+        path_ends = functools.partial(_path_ends, nodes, step.length, step.frames[number])
         touch = touch_distance(surface.grid)
         met = _first_hits(
             path_ends,
@@ -324,13 +324,13 @@ def _place_hit_nodes(
         old, masses, triangle = materialize(
             (jax.tree.map(read_node, landing), jax.tree.map(read_node, mass), read_node(chosen))
         )
-        this = now if curve is None else now._replace(curve=materialize(curve(node, old.nodes.velocities)))
+        this = step if curve is None else step._replace(curve=materialize(curve(node, old.nodes.velocities)))
         new = place_on_surfaces(old, this, masses, surfaces, triangle, differentiable=False)
         nodes = dataclasses.replace(new.nodes, positions=unstack_rows(new.nodes.positions))
         landing = jax.tree.map(write_node, landing, new._replace(nodes=nodes))
         if record is not None:
             places = record.shape[1]
-            flat = put(record.reshape(-1), triangle.astype(record.dtype), now.number * places + node)
+            flat = put(record.reshape(-1), triangle.astype(record.dtype), step.number * places + node)
             landing = landing._replace(record=flat.reshape(record.shape))
         beta, chosen = put(beta, jnp.full_like(beta[:1], jnp.inf), node), put(chosen, jnp.full_like(triangle, -1), node)
         return landing, beta, chosen
@@ -350,7 +350,7 @@ def touches_already(nodes: Nodes, number: int, surface: ContactSurface, over: ja
 
 def place_on_surfaces(
     landing: Landing,
-    now: ContactStep,
+    step: ContactStep,
     mass: tuple[jax.Array, jax.Array | None],
     surfaces: tuple[ContactSurface, ...],
     chosen: jax.Array,
@@ -360,12 +360,12 @@ def place_on_surfaces(
     """The landing on the chosen triangles (n_node,), counted over all surfaces, -1 where there is none."""
     firsts = first_numbers(surfaces)
     if len(surfaces) == 1:
-        return _place_on_surface(landing, now, mass, surfaces[0], 0, chosen, differentiable=differentiable)
+        return _place_on_surface(landing, step, mass, surfaces[0], 0, chosen, differentiable=differentiable)
     for number, surface in enumerate(surfaces):
         here = (chosen >= firsts[number]) & (chosen < firsts[number + 1])
         own = jnp.where(here, chosen - firsts[number], -1)
         before = landing.work
-        landing = _place_on_surface(landing, now, mass, surface, number, own, differentiable=differentiable)
+        landing = _place_on_surface(landing, step, mass, surface, number, own, differentiable=differentiable)
         if before is not None and landing.work is not None and landing.works and surface.mold.motion is not None:
             place = sum(each.mold.motion is not None for each in surfaces[:number])
             works = list(landing.works)
@@ -376,7 +376,7 @@ def place_on_surfaces(
 
 def _place_on_surface(
     landing: Landing,
-    now: ContactStep,
+    step: ContactStep,
     masses: tuple[jax.Array, jax.Array | None],
     surface: ContactSurface,
     number: int,
@@ -387,10 +387,10 @@ def _place_on_surface(
     """The landing on the chosen triangles (n_node,) of a surface, -1 where there is none; differentiable."""
     lands, nodes, (mass, compliance) = chosen >= 0, landing.nodes, masses
     after, velocities = jnp.asarray(nodes.positions), nodes.velocities
-    frame, work, mold = now.frames[number], landing.work, surface.mold
+    frame, work, mold = step.frames[number], landing.work, surface.mold
     if frame is not None:
         after, velocities = jnp.stack(frame.places(after)), jnp.stack(frame.speeds(velocities))
-    before = after - now.length * velocities
+    before = after - step.length * velocities
     point, above, beta = _landing_point(before, after, mold, jnp.maximum(chosen, 0), lands)
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
     wall = jnp.where(above < 0, -1, 1) * (chosen + 1)
@@ -399,7 +399,7 @@ def _place_on_surface(
     new: Any = 0.0
     slip = nodes.slip
     if not mold.contact.sticks and compliance is not None:
-        left = jnp.where(lands, (1.0 - beta) * now.length, 0.0)
+        left = jnp.where(lands, (1.0 - beta) * step.length, 0.0)
         mobile = mobile_components(compliance)
         flying = unstack_rows(point), unstack_rows(velocities)
         place, speed, wall, distance = land_and_slide(
@@ -418,10 +418,10 @@ def _place_on_surface(
             # A tool does not carry nodes out of a symmetry plane that it closes on.
             mobile = jnp.stack(mobile_components(compliance)) > 0.0
             point, new = jnp.where(mobile, point, after), jnp.where(mobile, new, velocities)
-    if now.curve is not None:
-        point, new, beta = _land_on_curve(before, after, now, mold, jnp.maximum(chosen, 0), lands)
-        flight += [now.curve, point]
-    time = now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length
+    if step.curve is not None:
+        point, new, beta = _land_on_curve(before, after, step, mold, jnp.maximum(chosen, 0), lands)
+        flight += [step.curve, point]
+    time = step.end - (1.0 - jnp.maximum(beta, _SOONEST)) * step.length
     return Landing(
         nodes=dataclasses.replace(
             nodes,
@@ -433,7 +433,7 @@ def _place_on_surface(
             tool=None if nodes.tool is None else jnp.where(lands, number, nodes.tool),
             slip=slip,
         ),
-        step=jnp.where(lands, now.number, landing.step),
+        step=jnp.where(lands, step.number, landing.step),
         loss=landing.loss + jnp.sum(jnp.where(lands, loss, 0.0)),
         impact=None if landing.impact is None else jnp.where(lands, jnp.concatenate(flight), landing.impact),
         work=work,
@@ -463,7 +463,7 @@ def _landing_point(
 
 
 def _land_on_curve(
-    before: jax.Array, after: jax.Array, now: ContactStep, mold: Mold, triangle: jax.Array, lands: jax.Array
+    before: jax.Array, after: jax.Array, step: ContactStep, mold: Mold, triangle: jax.Array, lands: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Position (3, n_node) [m] and velocity [m/s] after landing on a curved path, and beta (n_node,).
 
@@ -472,11 +472,11 @@ def _land_on_curve(
     it the force on its neighbours, is that of a node that stops where it lands; the velocity returns it to M. Neither
     depends on the time of landing within a step, to second order.
     """
-    assert now.curve is not None
+    assert step.curve is not None
     d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
     normal = cross(e - d, f - d)
     height, way = dot(before - d, normal), after - before
-    fall, bend = -dot(way, normal), dot(now.curve, normal)
+    fall, bend = -dot(way, normal), dot(step.curve, normal)
     # The first root of height - beta fall + beta (beta - 1) / 2 bend, from the side on which the node is.
     side = jnp.where(fall < 0.0, -1.0, 1.0)
     height, slope, bend = side * height, side * (fall + 0.5 * bend), side * bend
@@ -485,9 +485,9 @@ def _land_on_curve(
     root = slope + jnp.sqrt(jnp.where(crosses, square, 1.0))
     crosses &= root > 0.0
     beta = jnp.where(crosses, jnp.clip(2.0 * height / jnp.where(crosses, root, 1.0), 0.0, 1.0), 0.0)
-    point = before + beta * way + 0.5 * beta * (beta - 1.0) * now.curve
-    more = 0.5 * beta * (1.0 - beta) * (way + (beta - 0.5) * now.curve)
-    half = 0.0 if now.damping is None else 0.5 * now.damping * now.length
+    point = before + beta * way + 0.5 * beta * (beta - 1.0) * step.curve
+    more = 0.5 * beta * (1.0 - beta) * (way + (beta - 0.5) * step.curve)
+    half = 0.0 if step.damping is None else 0.5 * step.damping * step.length
     # A halted window goes on with steps of no length, in which nothing lands.
-    length = jnp.where(now.length > 0.0, now.length, 1.0)
+    length = jnp.where(step.length > 0.0, step.length, 1.0)
     return point + more, -(1.0 + half) / ((1.0 - half) * length) * more, beta

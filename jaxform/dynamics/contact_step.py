@@ -108,10 +108,12 @@ def search_contact(
         _active_pairs(moved, listed, scene, data, number, known[number], frames[number])
         for number, listed in enumerate(candidates)
     ]
-    flying, this = _free_flight(moved, length, scene, data, frames)
+    landing, contact_step = _free_flight(moved, length, scene, data, frames)
     due, mass = [blocks for blocks, _ in found], _masses(scene, data)
     curve = _velocity_change(moved, (velocity_step, length), scene, data) if scene.lands_smoothly else None
-    landing, met = sticking.apply_contact(flying, this, due, mass, candidates, scene.surfaces, known, moved.hits, curve)
+    landing, met = sticking.apply_contact(
+        landing, contact_step, due, mass, candidates, scene.surfaces, known, moved.hits, curve
+    )
     missed = functools.reduce(operator.or_, [missed for _, missed in moved.last_checks])
     landed = dataclasses.replace(
         _apply_landing(moved, landing),
@@ -155,17 +157,17 @@ def replay_contact(
     frames: tuple[ToolFrame | None, ...],
 ) -> WindowState:
     """The window state after the known contacts of one step, with velocities `before` it [m/s]; differentiable."""
-    flying, this = _free_flight(moved, length, scene, data, frames)
+    landing, contact_step = _free_flight(moved, length, scene, data, frames)
     if scene.lands_smoothly:
-        this = this._replace(curve=length * (moved.nodes.velocities - before))
+        contact_step = contact_step._replace(curve=length * (moved.nodes.velocities - before))
     if known.record is None:
-        lands = (known.step == this.number) & ~moved.nodes.stuck
+        lands = (known.step == contact_step.number) & ~moved.nodes.stuck
         chosen = jnp.where(lands, known.chosen, -1)
     else:
-        touching = jnp.where(this.number < known.count, known.record[this.number], -1)
+        touching = jnp.where(contact_step.number < known.count, known.record[contact_step.number], -1)
         chosen = jnp.where(moved.nodes.stuck, -1, touching)
     mass = _masses(scene, data)
-    landed = _apply_landing(moved, sticking.apply_known_contact(flying, this, chosen, mass, scene.surfaces))
+    landed = _apply_landing(moved, sticking.apply_known_contact(landing, contact_step, chosen, mass, scene.surfaces))
     if known.sides is not None:
         landed = replay_sides(moved, landed, length, known.sides, scene, frames)
     return dataclasses.replace(landed, halted=moved.halted | (moved.count >= known.count))
@@ -180,7 +182,7 @@ def _free_flight(
     moved: WindowState, length: jax.Array, scene: Scene, data: WindowData, frames: tuple[ToolFrame | None, ...]
 ) -> tuple[sticking.Landing, sticking.ContactStep]:
     account = moved.account
-    flying = sticking.Landing(
+    landing = sticking.Landing(
         moved.nodes,
         moved.landing_step,
         account.contact_loss,
@@ -190,7 +192,7 @@ def _free_flight(
         account.by_tool.work,
     )
     end, damping = data.begin + moved.count * data.length, scene.solver.damping if scene.lands_smoothly else None
-    return flying, sticking.ContactStep(length, end, moved.count - 1, frames, damping=damping)
+    return landing, sticking.ContactStep(length, end, moved.count - 1, frames, damping=damping)
 
 
 def _apply_landing(moved: WindowState, landing: sticking.Landing) -> WindowState:
@@ -215,14 +217,14 @@ def any_missed(current: WindowState, candidates: Sequence[Candidates], scene: Sc
     for number, (listed, seen) in enumerate(zip(candidates, current.last_checks, strict=True)):
         frame = _present_frame(current, scene, data, number)
 
-        def work(
+        def compute_block(
             positions: Any, stuck: jax.Array, sphere: tuple[jax.Array, ...], seen: Any = seen, frame: Any = frame
         ) -> tuple[list, list]:
             places = positions if frame is None else frame.places(positions)
             return [], [may_have_missed(places, stuck, sphere, seen)]
 
         inputs = jax.lax.stop_gradient((current.nodes.positions, current.nodes.stuck, list_spheres(listed)))
-        _, (count,) = over_blocks(work, data.active.packed.elements.node_block_count, inputs, [], sums=1)
+        _, (count,) = over_blocks(compute_block, data.active.packed.elements.node_block_count, inputs, [], sums=1)
         missed = missed | seen[1] | (count > 0)
     return missed
 

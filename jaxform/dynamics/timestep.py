@@ -219,7 +219,7 @@ def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> j
     rows, elements = membrane.unstack_rows(state.nodes.positions), active.packed.elements
     immobile = immobile_nodes(state, scene)
 
-    def work(own: tuple[jax.Array, ...], bound: jax.Array, zones: Any, memory: Any, modes: Any) -> Any:
+    def compute_block(own: tuple[jax.Array, ...], bound: jax.Array, zones: Any, memory: Any, modes: Any) -> Any:
         triangles, inverse, area = own
         # Where user-defined fields continue after all nodes stick, the steps keep their length.
         moving = can_move(immobile, triangles, area) if scene.rests else area > 0.0
@@ -228,7 +228,7 @@ def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> j
 
     own = elements.triangles, elements.inverse_metric, elements.area
     inputs = own, active.bound, active.zones, state.memory, active.modes
-    _, (largest,) = over_blocks(work, elements.block_count, inputs, [], most=1)
+    _, (largest,) = over_blocks(compute_block, elements.block_count, inputs, [], most=1)
     step = constitutive.stable_step(largest, scene.material)
     if not scene.pressure.follows_volume:
         return step
@@ -337,13 +337,13 @@ def _highest_mode(
         noise = jnp.sqrt(compliance) * active.packed.pack(noise_vector(there))
         return mode / norm(mode) + _NOISE / norm(noise) * noise
 
-    def multiply(k: jax.Array, now: _Lanczos) -> _Lanczos:
-        corners, scale = corner_force_changes(load, elements, now.vector, now.corners), 1.0 / now.size
+    def multiply(k: jax.Array, iteration: _Lanczos) -> _Lanczos:
+        corners, scale = corner_force_changes(load, elements, iteration.vector, iteration.corners), 1.0 / iteration.size
 
-        inputs = gather_table(elements), active.mass, compliance, now.vector
+        inputs = gather_table(elements), active.mass, compliance, iteration.vector
         if falling is not None:
             # The change of a pressure with its volume adds a product of rank one.
-            inputs = *inputs, _volume_force_change(falling, now.vector)
+            inputs = *inputs, _volume_force_change(falling, iteration.vector)
 
         def multiply_block(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array, *more: Any) -> Any:
             forces = membrane.vector(gather_shares(corners, own))
@@ -352,8 +352,8 @@ def _highest_mode(
             new = membrane.vector(-scale * c * f for c, f in zip(compliance, forces, strict=True))
             return [new], [scale * mass * membrane.dot(vector, new)]
 
-        (new,), (rate,) = over_nodes(multiply_block, inputs, [now.new], sums=1)
-        before = jnp.where(k > 0, now.beside[k - 1], 0.0)
+        (new,), (rate,) = over_nodes(multiply_block, inputs, [iteration.new], sums=1)
+        before = jnp.where(k > 0, iteration.beside[k - 1], 0.0)
 
         def orthogonalize(old: Any, mass: jax.Array, new: jax.Array) -> Any:
             unit = [scale * v for v in old[0]]
@@ -362,7 +362,7 @@ def _highest_mode(
             vector, unit = materialize((vector, unit))
             return [vector, unit, unit], [mass * membrane.dot(vector, vector)]
 
-        into = [now.vector, now.last, ArraySlice(now.basis, k * places, places)]
+        into = [iteration.vector, iteration.last, ArraySlice(iteration.basis, k * places, places)]
         (vector, unit, basis), (square,) = over_nodes(orthogonalize, (active.mass, new), into, sums=1, update=2)
         size = jnp.sqrt(square)
         return _Lanczos(
@@ -370,8 +370,8 @@ def _highest_mode(
             size=jnp.where(size > 0.0, size, 1.0),
             last=unit,
             basis=basis,
-            diagonal=now.diagonal.at[k].set(rate),
-            beside=now.beside.at[k].set(size),
+            diagonal=iteration.diagonal.at[k].set(rate),
+            beside=iteration.beside.at[k].set(size),
             new=new,
             corners=corners,
         )
@@ -387,10 +387,10 @@ def _highest_mode(
     square, share = lax_cond_once(thorough, lambda _: _largest_of_many(done.diagonal, off), (square, share))
 
     def add(k: jax.Array, mode: jax.Array) -> jax.Array:
-        def work(old: Any, unit: jax.Array) -> Any:
+        def compute_block(old: Any, unit: jax.Array) -> Any:
             return [[x + share[k] * v for x, v in zip(old[0], unit, strict=True)]], []
 
-        return over_nodes(work, (ArraySlice(done.basis, k * places, places),), [mode], update=1)[0][0]
+        return over_nodes(compute_block, (ArraySlice(done.basis, k * places, places),), [mode], update=1)[0][0]
 
     mode = jax.lax.fori_loop(0, count, add, nowhere)
     missing = jnp.abs(done.beside[count - 1] * share[count - 1])

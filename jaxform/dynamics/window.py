@@ -269,7 +269,7 @@ _Decisions = tuple[StepChoice, tuple[jax.Array, jax.Array] | None]
 def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
         return choose_step(state, scene, active), None
-    row = schedule.upcoming(state.replay.row)
+    row = schedule.next_row(state.replay.row)
 
     def from_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
         length, count = schedule.lengths[row], schedule.counts[row]

@@ -207,7 +207,7 @@ def end_of_window_energy(current: WindowState, scene: Scene, data: WindowData) -
     moves = scene.moves
     middle = None if scene.tables.box is None else scene.tables.box.middle
 
-    def work(own: Any, nodes: Any, positions: Any, velocities: Any, wall: Any, tool: Any) -> Any:
+    def compute_block(own: Any, nodes: Any, positions: Any, velocities: Any, wall: Any, tool: Any) -> Any:
         nodal, done = add_gravity(gather_shares(corners, own), nodes[1], scene.solver.gravity), []
         ahead, _ = update_velocity(nodal, velocities, nodes, data.length, scene.solver.damping)
         if moves:
@@ -231,7 +231,9 @@ def end_of_window_energy(current: WindowState, scene: Scene, data: WindowData) -
     touched = (current.nodes.wall, current.nodes.tool) if moves else (None, None)
     inputs = gather_table(elements), nodes, positions, current.nodes.velocities, *touched
     sums = 2 + moves + len(scene.moving_tools)
-    _, (kinetic, behind, *tool, largest) = over_blocks(work, elements.node_block_count, inputs, [], sums=sums, most=1)
+    _, (kinetic, behind, *tool, largest) = over_blocks(
+        compute_block, elements.node_block_count, inputs, [], sums=sums, most=1
+    )
     return (kinetic, behind, largest, tool), corners
 
 

@@ -72,7 +72,7 @@ def adapt_sheet(
 
 
 def _key(document: SceneDocument, sheet: Sheet) -> str:
-    """A digest of what the mesh depends on: the scene without its name and output, its files, and the precision."""
+    """A digest of the data for the mesh: the scene without its name and output, its files, and the precision."""
     digest = hashlib.sha256(repr((jax.config.jax_enable_x64, len(sheet.positions))).encode())
     tables = {key: value for key, value in document.data.items() if key not in ("name", "description", "output")}
     digest.update(repr(tables).encode())
@@ -131,7 +131,7 @@ def _run_pass(document: SceneDocument, sheet: Sheet, store: Store | None, number
 
 
 def _run_quietly(scene: Scene, store: Store | None) -> Result:
-    """The result of a run; what there is to say of the scene is said of the run on the last mesh."""
+    """The result of a run, without warnings about the scene, which the run on the last mesh gives."""
     with warnings.catch_warnings(), redirect_warnings(lambda _: None):
         warnings.simplefilter("ignore", InputWarning)
         return run(scene, store=store)

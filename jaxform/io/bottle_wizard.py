@@ -57,7 +57,7 @@ def draft_bottle(
         thickness: Thickness of the preform [m]; by default for a usual wall.
 
     Returns:
-        Its files, and lines on what was found and chosen.
+        Its files, and lines of text on the findings and choices.
 
     Raises:
         InputError: A file cannot be read, or is no bottle with a neck and without a handle.

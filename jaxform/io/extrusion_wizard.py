@@ -51,7 +51,7 @@ def draft_extrusion(
         thickness: Thickness of the parison [m]; by default for a usual wall.
 
     Returns:
-        Its files, and lines on what was found and chosen.
+        Its files, and lines of text on the findings and choices.
 
     Raises:
         InputError: A file cannot be read, or is no bottle with a neck and a plane of symmetry.
@@ -121,7 +121,7 @@ def _warn_of_handles(holes: list[tuple[float, float, float]], radius: float) -> 
 
 
 def _describe(half: HalfBottle, radius: float, thickness: float, wall: float, hole_count: int) -> Iterator[str]:
-    """Lines on what was found and chosen: radius and thickness of the parison, and the bottle's mean wall [m]."""
+    """Lines on the findings and choices: radius and thickness of the parison, and the bottle's mean wall [m]."""
     (a, b, c), (d, e, f) = (np.round(row, 4) + 0.0 for row in (half.rotation[2], half.rotation[0]))
     yield (
         f"its neck is at the end along ({a:g}, {b:g}, {c:g}) of the file; the normal of its parting plane is along "

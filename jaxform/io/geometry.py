@@ -208,7 +208,7 @@ def _place(along: str, positions: Array) -> Array:
 
 
 def _border_places(document: SceneDocument) -> list[tuple[str, float]]:
-    """Places [m] between which the conditions of regions are, with what they are along; each once."""
+    """Places [m] that bound the conditions of regions, with their axes; each once."""
     conditions = [one for gas in document.model.regional_gases.values() for one in _conditions(gas.region)]
     return list(dict.fromkeys((one.along, place) for one in conditions for place in one.between))
 
@@ -300,7 +300,7 @@ def _shape_of_files(
 def build_part(
     document: SceneDocument, mold: Mold | None, store: Store | None = None, read: ReadMesh = meshes.read_mesh
 ) -> Part | None:
-    """The part of the formed sheet: what the document's [part] selects, without flash; None where it is all of it.
+    """The part of the formed sheet that the document's [part] selects, without flash; None for the whole sheet.
 
     Args:
         document: The document.

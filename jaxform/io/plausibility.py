@@ -1,4 +1,4 @@
-"""Checks of tools before a run: what they meet, whether they reach the sheet and start outside it, their units."""
+"""Checks of tools before a run: collisions, whether they reach the sheet and start outside it, their units."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ def heights_above(points: Array, middle: Array, unit: Array) -> Array:
 
 
 def _moves_off(away: list[float], size: float) -> bool:
-    """True of distances [m] of a tool that is not near the sheet at first, and then only moves away from it."""
+    """True for the distances [m] of a tool that starts away from the sheet and only moves farther away."""
     farther = min(away) >= (1 - _SAME) * away[0] and away[-1] > away[0] + _FARTHER * size
     return farther and away[0] > _NEAR * size
 

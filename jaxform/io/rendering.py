@@ -98,7 +98,7 @@ def _part(pyvista: Any, results: Results) -> Any:
 
 
 def _split_part(surface: Any) -> tuple[Any, Any]:
-    """The part that the scene selects, and what is cut off it; None where nothing is."""
+    """The part that the scene selects, and the sheet that is cut off; None where nothing is cut off."""
     marked = "part" in surface.cell_data
     in_part = np.asarray(surface.cell_data["part"]) != 0 if marked else np.ones(surface.n_cells, bool)
     if in_part.all() or not in_part.any():

@@ -126,7 +126,7 @@ def drape(mold: Mesh, direction: Array | None) -> Drape:
 
 
 def warn(made: Drape, scale: float) -> None:
-    """Warns of what the sheet cannot reach, and of a mold without a base."""
+    """Warns of places that the sheet cannot reach, and of a mold without a base."""
     if made.undercut is not None:
         depth, where = made.undercut
         place = ", ".join(f"{x:.4g}" for x in where / scale)

@@ -104,7 +104,7 @@ def _draft_cavity(
     plug: Path | Literal["auto"] | None,
     known: dict[str, Any],
 ) -> Draft:
-    """A first scene in which a sheet is formed into a cavity, by what is `known` already of its `Draft`."""
+    """A first scene in which a sheet is formed into a cavity, from the `known` fields of its `Draft`."""
     if rest is not None:
         whole = meshes.merge([mold, rest])
         mold = footprint.weld_mold(whole.positions, whole.triangles)
@@ -154,7 +154,7 @@ def _plug(
 
 
 def _draft_buck(mold: Mesh, thickness: float | None, direction: Array | None, known: dict[str, Any]) -> Draft:
-    """A first scene in which a sheet is draped over a buck, by what is `known` already of its `Draft`."""
+    """A first scene in which a sheet is draped over a buck, from the `known` fields of its `Draft`."""
     made = scene_choices.drape(mold, direction)
     planform = made.planform
     outline = planform_polygon(planform)

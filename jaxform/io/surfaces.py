@@ -35,7 +35,7 @@ _TOO_LARGE = 2.5  # times as large as the part, a mold is left out
 def part_view(
     scene: Scene, result: Result, scale: tuple[float, float], *, edges: bool = False, mark: Any = None
 ) -> View:
-    """The part in colours of its wall, what is cut off it in grey, with the mold in grey behind it.
+    """The part in colours of its wall, with the cut-off sheet and the mold behind it in grey.
 
     Args:
         scene: The simulated scene.

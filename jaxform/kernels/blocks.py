@@ -110,7 +110,9 @@ def over_blocks(
         # All is read before anything is written (docs/explanation/kernels.md).
         return function(jax.lax.optimization_barrier(old) if kept else old, *_read_block(inputs, i))
 
-    def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
+    def compute_block(
+        i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]
+    ) -> tuple[list[jax.Array], list[jax.Array]]:
         flat, totals = carry
         rows, terms = apply(flat, i)
         flat = [_write_rows(*each, begin + i * BLOCK) for *each, begin in zip(flat, rows, begins, strict=True)]
@@ -124,7 +126,7 @@ def over_blocks(
     kinds = map(jnp.result_type, jax.tree.leaves((inputs, arrays)))
     real = next((kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)), jnp.float32)
     zeros = [jnp.zeros(BLOCK, real) for _ in range(sums + most)]
-    flat, totals = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
+    flat, totals = jax.lax.fori_loop(0, block_count, compute_block, (flat, zeros))
     # Else the whole loop would be computed again by whoever uses it twice.
     flat, totals = jax.lax.optimization_barrier((flat, totals))
     shaped = [array.reshape(old.shape) for array, old in zip(flat, arrays, strict=True)]
@@ -260,14 +262,14 @@ def list_marked(marked: jax.Array, block_count: jax.Array) -> tuple[jax.Array, j
     def add_block(i: jax.Array, found: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         own = slice_at(marked, i * BLOCK, BLOCK)
 
-        def following(k: jax.Array) -> jax.Array:
+        def next_marked(k: jax.Array) -> jax.Array:
             return jnp.min(jnp.where(own & (index > k), index, BLOCK))
 
         def add(carry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
             k, places, count = carry
-            return following(k), put(places, (i * BLOCK + k).astype(jnp.int32)[None], count), count + 1
+            return next_marked(k), put(places, (i * BLOCK + k).astype(jnp.int32)[None], count), count + 1
 
-        return jax.lax.while_loop(lambda carry: carry[0] < BLOCK, add, (following(jnp.int32(-1)), *found))[1:]
+        return jax.lax.while_loop(lambda carry: carry[0] < BLOCK, add, (next_marked(jnp.int32(-1)), *found))[1:]
 
     return jax.lax.fori_loop(0, block_count, add_block, (jnp.zeros(marked.size, jnp.int32), jnp.int32(0)))
 

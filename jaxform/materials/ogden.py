@@ -128,13 +128,13 @@ def _jvp_of(function: Callable[..., Any], at: tuple[Any, ...], changes: tuple[An
     given = jax.tree.leaves(changes)
     varied = [k for k, change in enumerate(given) if not isinstance(change, SymbolicZero)]
 
-    def of_varied(*those: jax.Array) -> Any:
+    def function_of_varied(*those: jax.Array) -> Any:
         every = list(values)
         for k, value in zip(varied, those, strict=True):
             every[k] = value
         return function(*jax.tree.unflatten(tree, every))
 
-    return jax.jvp(of_varied, [values[k] for k in varied], [given[k] for k in varied])[1]
+    return jax.jvp(function_of_varied, [values[k] for k in varied], [given[k] for k in varied])[1]
 
 
 class _SlopePowers:

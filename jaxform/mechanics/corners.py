@@ -85,14 +85,14 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     """
     rows, response = unstack_rows(load.positions), load.response
 
-    def work(block: ElementBlock, thickness: jax.Array, zones: Any) -> Any:
+    def compute_block(block: ElementBlock, thickness: jax.Array, zones: Any) -> Any:
         corners, volume, _ = _forces(
             rows, block, thickness, load.pressure, elements.origin, response.with_numbers(zones)
         )
         return combine_pairs(corners, block), by_region(volume, block.regions)
 
     count = region_count(elements.regions)
-    corners, volumes = map_elements(work, elements, (load.thickness, response.zones), into, count)
+    corners, volumes = map_elements(compute_block, elements, (load.thickness, response.zones), into, count)
     return add_overflow(corners, elements), sum_regions(volumes, elements.regions) / 6.0
 
 
@@ -108,7 +108,9 @@ def viscous_corner_forces(
     assert memory is not None
     zones = {name: values for name, values in response.zones.items() if name != "memory.history"}
 
-    def work(old: Any, block: ElementBlock, thickness: jax.Array, zones: Any, varying: Any, block_modes: Any) -> Any:
+    def compute_block(
+        old: Any, block: ElementBlock, thickness: jax.Array, zones: Any, varying: Any, block_modes: Any
+    ) -> Any:
         # As they are: put together, the rows would be copied.
         present = response.with_numbers(zones | {"memory.history": old[0]})
         corners, volume, found = _forces(rows, block, thickness, load.pressure, elements.origin, present)
@@ -121,7 +123,7 @@ def viscous_corner_forces(
     inputs = element_block(elements), load.thickness, zones, _varying_factors(recursion), _per_element_modes(modes)
     count = region_count(elements.regions) + 1
     (rest, *corners), (*volumes, loss) = over_blocks(
-        work, elements.block_count, inputs, [memory.history, *into], sums=count, update=1, kept=False
+        compute_block, elements.block_count, inputs, [memory.history, *into], sums=count, update=1, kept=False
     )
     return add_overflow(corners, elements), sum_regions(volumes, elements.regions) / 6.0, (rest, loss)
 
@@ -140,20 +142,26 @@ def present_mode_stress(load: Load, elements: Elements, modes: Modes, *, differe
     assert load.memory is not None
     rows, memory = unstack_rows(load.positions), load.memory
 
-    def work(g: Metric, inverse: Any, volume: jax.Array, memory: ViscousMemory, modes: Modes) -> tuple[Rows, jax.Array]:
+    def compute_block(
+        g: Metric, inverse: Any, volume: jax.Array, memory: ViscousMemory, modes: Modes
+    ) -> tuple[Rows, jax.Array]:
         found = overstress(g, inverse, memory, materialize)
         lost = jnp.where(volume > 0.0, volume * modes.loss(found.modes, found.strained), 0.0)
         return [row for mode in found.modes for row in mode], lost
 
     if differentiable:
-        stress, lost = work(*element_metrics(load.positions, elements), elements.area * load.thickness, memory, modes)
+        stress, lost = compute_block(
+            *element_metrics(load.positions, elements), elements.area * load.thickness, memory, modes
+        )
         return jnp.stack(stress), jnp.sum(lost)
     zones = {"gain": memory.gain} if memory.gain.ndim == 2 else {}
 
     def update_block(old: Any, triangles: jax.Array, inverse: Any, volume: Any, zones: Any, block_modes: Any) -> Any:
         _, edge1, edge2 = edges(rows, triangles)
         present = dataclasses.replace(memory, history=old[0], **zones)
-        stress, lost = work(metric(edge1, edge2), inverse, volume[0] * volume[1], present, block_modes or modes)
+        stress, lost = compute_block(
+            metric(edge1, edge2), inverse, volume[0] * volume[1], present, block_modes or modes
+        )
         return [stress], [lost]
 
     inputs = (
@@ -236,7 +244,9 @@ def corner_force_tangent(load: Load, elements: Elements, change: Load, into: Cor
     changed = _parameter_changes(load, change)
     zone_changes = {name: changed.pop(name) for name in zones if name in changed}
 
-    def work(block: ElementBlock, thickness: jax.Array, zones: Any, zone_changes: Any, *more: jax.Array) -> Any:
+    def compute_block(
+        block: ElementBlock, thickness: jax.Array, zones: Any, zone_changes: Any, *more: jax.Array
+    ) -> Any:
         present = response.with_numbers(zones)
         (first, edge1, edge2), *others = sides = edge_vectors(block, *looked)
         normal, inverse, area = element_normals(sides[0], block), block.inverse_metric, block.area
@@ -268,7 +278,7 @@ def corner_force_tangent(load: Load, elements: Elements, change: Load, into: Cor
         return combine_pairs(corner_shares(push, pull2, pull3), block), by_region(volume, block.regions)
 
     inputs = load.thickness, zones, zone_changes, *thickened
-    corners, volumes = map_elements(work, elements, inputs, into, region_count(elements.regions))
+    corners, volumes = map_elements(compute_block, elements, inputs, into, region_count(elements.regions))
     return add_overflow(corners, elements), sum_regions(volumes, elements.regions) / 6.0
 
 

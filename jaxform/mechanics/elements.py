@@ -124,11 +124,11 @@ def gather_shares(corners: Corners, table: GatherTable) -> list[jax.Array]:
 def nodal_sum(corners: Corners, elements: Elements) -> jax.Array:
     """Sum of the corners' shares at the nodes in use (3, place), 0 at the others."""
 
-    def work(table: GatherTable) -> Any:
+    def compute_block(table: GatherTable) -> Any:
         return [gather_shares(corners, table)], []
 
     into = [jnp.zeros((3, elements.slots.shape[1]), corners[0].dtype)]
-    (nodal,), _ = over_blocks(work, elements.node_block_count, (gather_table(elements),), into)
+    (nodal,), _ = over_blocks(compute_block, elements.node_block_count, (gather_table(elements),), into)
     return nodal
 
 

@@ -86,7 +86,7 @@ def corner_cotangents(
     zones, single, wanted_zones = response.zones, response.single, _differentiated_zones(load, wanted)
     varies = any(want for name, want in zip(response.numbers, wanted[3:], strict=True) if name in single)
 
-    def work(*blocks: Any) -> Any:
+    def compute_block(*blocks: Any) -> Any:
         old, (block, thickness, zones) = (list(blocks[0]), blocks[1:]) if summed else ([], blocks)
         present = response.with_numbers(zones)
         (first, edge1, edge2), *pushes = sides = edge_vectors(block, *looked)
@@ -148,7 +148,7 @@ def corner_cotangents(
     count = 0 if pushed is None else (int(presses) + int(forces)) * regions + numbers
     inputs = element_block(elements), load.thickness, zones
     outputs = [*summed, *into]
-    arrays, sums = over_blocks(work, elements.block_count, inputs, outputs, sums=count, update=len(summed))
+    arrays, sums = over_blocks(compute_block, elements.block_count, inputs, outputs, sums=count, update=len(summed))
     corners = [array for k in range(len(summed), len(arrays), 3) for array in add_overflow(arrays[k : k + 3], elements)]
     if numbers and pushed is not None:
         begin = int(presses) * regions

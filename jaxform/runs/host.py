@@ -129,8 +129,8 @@ def run(
         InputError: If a number of the scene is out of its range.
 
     Warns:
-        InputWarning: If the solver is asked for a slow process (`quasi_static`) and this was none, the pressure moved
-            nothing that could be measured, nothing touched the mold, the sheet left the mold's box or passes through
+        InputWarning: If the process was to be slow (`quasi_static`) and was not, the work of the pressure was below the
+            resolution of the energy balance, nothing touched the mold, the sheet left the mold's box or passes through
             itself, or a free wall became implausibly thin.
     """
     check_scene(scene)
@@ -147,40 +147,40 @@ def _run(
 ) -> Result:
     original, padded = scene, select_bucket(scene, store)
     scene, limit = padded.scene, original.solver.max_steps
-    began = time.perf_counter()
+    start = time.perf_counter()
     begin, advance, ending = programs(scene, store)
     state, first, log = begin(scene)
-    ready, telling = time.perf_counter(), 0.0
+    loop_start, excluded = time.perf_counter(), 0.0
     follows = state.account.load_state is not None
     pressures: list[tuple[float, ...]] = []
     contacts = ContactRecord(len(original.surfaces), float(original.solver.end_time)) if original.slides else None
     at_once = on_window is None and not follows and contacts is None
-    compiling = ready - began
+    compiling = loop_start - start
     while left := remaining_windows(scene, state, limit):
-        take = left if at_once else 1
-        state, log, done = advance(state, scene, first, log, np.int32(take))
-        more = enlarge_overflowed(scene, state, log, bool(done), limit)
-        if more is not None:
+        window_count = left if at_once else 1
+        state, log, done = advance(state, scene, first, log, np.int32(window_count))
+        enlarged = enlarge_overflowed(scene, state, log, bool(done), limit)
+        if enlarged is not None:
             # One program for each size; the run goes on where it was.
             paused = time.perf_counter()
-            scene, state, log = more
+            scene, state, log = enlarged
             begin, advance, ending = programs(scene, store)
             first = begin(scene)[1]
             compiling += time.perf_counter() - paused
-            telling += time.perf_counter() - paused
+            excluded += time.perf_counter() - paused
             continue
         if follows:
             _record_pressure(pressures, state)
         if on_window is not None or contacts is not None:
-            now = state, scene, first, log
-            made = lambda now=now, made=ending: padded.result(made.result()(*now, _UNFINISHED))  # noqa: E731
-            whole = lambda made=made: _with_durations(made(), contacts)  # noqa: E731
-            moment = _moment(state, scene, whole, getattr(original.pressure, "names", ()))
-            told = time.perf_counter()
+            arguments = state, scene, first, log
+            part = lambda a=arguments, program=ending: padded.result(program.result()(*a, _UNFINISHED))  # noqa: E731
+            part_with_durations = lambda part=part: _with_durations(part(), contacts)  # noqa: E731
+            moment = _moment(state, scene, part_with_durations, getattr(original.pressure, "names", ()))
+            paused = time.perf_counter()
             if contacts is not None and not done:
-                contacts.offer(moment.time, made)
+                contacts.offer(moment.time, part)
             stop = on_window is not None and on_window(moment)
-            telling += time.perf_counter() - told
+            excluded += time.perf_counter() - paused
             if stop:
                 stopped = state.status | (0 if done else Status.STOPPED)
                 state = dataclasses.replace(state, status=jnp.asarray(stopped, jnp.int32))
@@ -188,12 +188,12 @@ def _run(
         if done:
             break
     paused = time.perf_counter()
-    made = ending.result()
+    make_final = ending.result()
     compiling += time.perf_counter() - paused
-    telling += time.perf_counter() - paused
-    final = _with_durations(padded.result(made(state, scene, first, log, _LAST)), contacts)
+    excluded += time.perf_counter() - paused
+    final = _with_durations(padded.result(make_final(state, scene, first, log, _LAST)), contacts)
     # The loop's time excludes that of the caller in between, such as for writing frames.
-    seconds = Seconds(compiling, time.perf_counter() - ready - telling)
+    seconds = Seconds(compiling, time.perf_counter() - loop_start - excluded)
     recorded = {
         "pressures": np.array(pressures).T if pressures else None,
         "contacts": None if contacts is None else contacts.rows(),
@@ -242,7 +242,7 @@ _LARGE = 20_000  # elements, whose runs take as long as compiling: such a mesh h
 
 @jax.jit
 def whole_run(scene: Scene) -> Result:
-    """A run without its host's loop."""
+    """A whole run as one compiled function, without the loop on the host."""
     state, first, log = begin(scene)
     state, log, _ = advance(state, scene, first, log, jnp.int32(scene.tables.window_count))
     return result_of(state, scene, first, log, jnp.asarray(True))
@@ -275,26 +275,26 @@ def advance(
         return (carry.count < most) & ~is_finished(carry.state, scene)
 
     def advance_window(carry: _LoopState) -> _LoopState:
-        state, now, stale, active = carry.state, carry.now, carry.count == 0, carry.active
+        state, discrete, stale, active = carry.state, carry.discrete, carry.count == 0, carry.active
         if state.mesh is not None:
             before = state.mesh.element_count
-            state, now, active = refine_in_place(state, scene, now, active)
+            state, discrete, active = refine_in_place(state, scene, discrete, active)
             stale |= state.refined_mesh.element_count != before
             if active.inactive is not None and carry.active.inactive is not None:
                 # Idle elements were brought up to date, so that their energy has changed.
                 stale |= active.inactive.since > carry.active.inactive.since
-        state, active = repack(state, scene, now, active, stale)
+        state, active = repack(state, scene, discrete, active, stale)
         state = open_clamp(state, scene, active)
-        whole_window = lambda now: window_in_place(stick_folds(now[0], scene, now[1]), scene, now[1])  # noqa: E731
+        whole_window = lambda pair: window_in_place(stick_folds(pair[0], scene, pair[1]), scene, pair[1])  # noqa: E731
         after, active = unless_full(state.status, scene, whole_window, (state, active))
         at = state.windows
         log = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.log, latest_decisions(after))
-        return _LoopState(after, now, active, log, carry.count + 1)
+        return _LoopState(after, discrete, active, log, carry.count + 1)
 
-    now = present_discretization(scene, state.mesh, first, stepped=True)
-    active = allocate_workspace(whole_set(state, scene, now), scene)
-    begun = _LoopState(active.pack_state(state), now, active, log, jnp.int32(0))
-    end = jax.lax.while_loop(continues, advance_window, begun)
+    discrete = present_discretization(scene, state.mesh, first, stepped=True)
+    active = allocate_workspace(whole_set(state, scene, discrete), scene)
+    loop_start = _LoopState(active.pack_state(state), discrete, active, log, jnp.int32(0))
+    end = jax.lax.while_loop(continues, advance_window, loop_start)
     return end.active.unpack_state(end.state), end.log, is_finished(end.state, scene)
 
 
@@ -302,7 +302,7 @@ class _LoopState(NamedTuple):
     """State of the loop over windows: the state in packed order, the discretization, and its active set."""
 
     state: PackedState
-    now: Discretization
+    discrete: Discretization
     active: ActiveSet
     log: WindowLog
     count: jax.Array
@@ -314,16 +314,16 @@ def latest_decisions(state: State) -> WindowLog:
 
 
 def unless_full[T](
-    status: jax.Array, scene: Scene, take: Callable[[T], T], now: T, only_if: Callable[..., T] = lax_cond_once
+    status: jax.Array, scene: Scene, advance: Callable[[T], T], state: T, cond: Callable[..., T] = lax_cond_once
 ) -> T:
-    """A window, unless refinement overflowed at its boundary: the state is left for a run with a larger capacity."""
-    return take(now) if scene.refinement is None else only_if(status == 0, take, now)
+    """The state after a window, unchanged if refinement overflowed: a run with a larger capacity continues from it."""
+    return advance(state) if scene.refinement is None else cond(status == 0, advance, state)
 
 
 def _request_programs(scene: Scene, store: Store) -> tuple[PendingProgram, PendingProgram, PendingProgram]:
     """The programs that begin a run, take windows and make its result, which are compiled concurrently.
 
-    The longest is begun as soon as its arguments' shapes are known.
+    Compiling the longest starts as soon as the shapes of its arguments are known.
     """
     beginning = store.start_program(begin, scene)
     state, first, log = beginning[0]

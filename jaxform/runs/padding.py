@@ -2,7 +2,7 @@
 
 Scenes of a kind and bucket sizes are the same to a compiled program. What is beyond a scene's own nodes and elements
 is inert: such nodes cannot move, such elements have no area, no cell of the search grid lists such a triangle of the
-mold, and the pressure stays what it was after such knots. Names and limits that only the host reads are left out.
+mold, and the pressure is constant after the scene's last knot. Names and limits that only the host reads are left out.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class PaddedScene(NamedTuple):
         return dataclasses.replace(result, **new)
 
     def _schedule(self, schedule: Schedule, order: Order) -> Schedule:
-        """The decisions of the windows that the scene plans for, or that there were."""
+        """The decisions of the planned windows, or of those that were taken if these are more."""
         counts = np.asarray(schedule.counts)
         taken = np.flatnonzero(counts)
         count = max(self.original.tables.window_count, int(taken[-1]) + 1 if len(taken) else 0)

@@ -75,7 +75,7 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
 
 @jax.custom_jvp
 def _refuse_derivative(end_time: jax.Array) -> jax.Array:
-    """The end time, without a derivative: the number of steps depends on it, so none would describe a longer run."""
+    """The end time, without a derivative: the number of steps depends on it, so that a derivative would be wrong."""
     return end_time
 
 
@@ -160,7 +160,7 @@ def _windows(
 
 @functools.cache
 def _checkpointed_windows(adjoint: Adjoint) -> DerivativeRule:
-    """Rule for `adjoint.windows` windows, of which the reverse derivative keeps only the state before the first."""
+    """Rule for `adjoint.windows` windows, of which the reverse derivative stores only the state before the first."""
 
     def like(state: State, *_: object) -> Any:
         return state, tuple(ShapedArray((adjoint.windows,), leaf.dtype) for leaf in latest_decisions(state))

@@ -242,7 +242,7 @@ def repack(
         return state, active
     elements, immobile = active.packed.elements, immobile_nodes(state, scene)
 
-    def work(triangles: jax.Array, area: jax.Array) -> Any:
+    def compute_block(triangles: jax.Array, area: jax.Array) -> Any:
         moving = can_move(immobile, triangles, area)
         if elements.orientation is not None:
             # Both elements of a pair stay where either can move.
@@ -256,7 +256,7 @@ def repack(
         return new.pack_state(state), new
 
     if scene.packs_moving:
-        _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
+        _, (moving,) = over_blocks(compute_block, elements.block_count, (elements.triangles, elements.area), [], sums=1)
         stale |= moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count
     return lax_cond_once(stale, pack_anew, (state, active))
 

@@ -38,7 +38,7 @@ def cool_state(
     numbers = (active.zones, active.modes) if law.shift is not None else None
     memory = state.memory if scene.stiffens else None
 
-    def work(own: Any, before: ThermalState, begun: Any, numbers: Any, memory: jax.Array | None) -> Any:
+    def compute_block(own: Any, before: ThermalState, begun: Any, numbers: Any, memory: jax.Array | None) -> Any:
         (triangles, inverse, area, thickness), (first, first_zones) = own, begun
         _, *edges = membrane.edges(positions, triangles)
         there = can_move(nodes.stuck, triangles, area)
@@ -76,7 +76,9 @@ def cool_state(
     into = [values.reshape(-1, values.shape[-1]) for values in held]
     inputs = own, heat, begun, numbers, memory
     blocks, sums = elements.block_count, int(scene.stiffens)
-    found, (*lost, cooling_rate) = over_blocks(work, blocks, inputs, into, sums=sums, most=1, whole=differentiable)
+    found, (*lost, cooling_rate) = over_blocks(
+        compute_block, blocks, inputs, into, sums=sums, most=1, whole=differentiable
+    )
     made = [values.reshape(old.shape) for values, old in zip(found, held, strict=True)]
     before, (heat, numbers, memory) = heat, jax.tree.unflatten(kinds, made)
     account = state.account

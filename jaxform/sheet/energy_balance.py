@@ -65,7 +65,9 @@ def element_energy(
     rows, viscous = membrane.unstack_rows(positions), material.viscous
     varying = None if viscous is None or viscous.modulus.ndim == 1 else viscous
 
-    def work(own: Any, thickness: jax.Array, behaviour: Any, counted: Any, orientation: Any, regions: Any) -> Any:
+    def compute_block(
+        own: Any, thickness: jax.Array, behaviour: Any, counted: Any, orientation: Any, regions: Any
+    ) -> Any:
         zones, memory, modes = behaviour
         modes = modes or viscous
         triangles, inverse, area = own
@@ -81,7 +83,7 @@ def element_energy(
     own = elements.triangles, elements.inverse_metric, elements.area
     inputs = own, thickness, (material.zones, memory, varying), counted, elements.orientation, elements.regions
     count = 1 + region_count(elements.regions)
-    _, (energy, *volumes) = over_blocks(work, elements.block_count, inputs, [], sums=count)
+    _, (energy, *volumes) = over_blocks(compute_block, elements.block_count, inputs, [], sums=count)
     return energy, sum_regions(volumes, elements.regions) / 6.0
 
 

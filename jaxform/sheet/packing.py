@@ -302,7 +302,7 @@ def _columns(
     order = sheet if pairs is None else pairs
     numbers = [sheet.area] if pairs is None else [sheet.area, pairs.orientation]
 
-    def work(element: jax.Array, there: jax.Array) -> Any:
+    def compute_block(element: jax.Array, there: jax.Array) -> Any:
         corners = [gather(place, row[element]) for row in order.triangles]
         own = [jnp.where(there, values[element], 0.0) for values in numbers]
         return [corners, [row[element] for row in order.inverse_metric], own], []
@@ -313,7 +313,9 @@ def _columns(
         jnp.zeros((3, capacity), real),
         jnp.zeros((len(numbers), capacity), real),
     ]
-    (triangles, inverse_metric, own), _ = over_blocks(work, block_count, (listing.element, listing.there), into)
+    (triangles, inverse_metric, own), _ = over_blocks(
+        compute_block, block_count, (listing.element, listing.there), into
+    )
     return triangles, inverse_metric, own[0], None if pairs is None else own[1]
 
 
@@ -326,14 +328,14 @@ def _shares(
 ) -> tuple[jax.Array, jax.Array]:
     """Places of the shares of the nodes in use (depth, place), and the rows in use for each block of nodes."""
 
-    def work(node: jax.Array, exists: jax.Array) -> Any:
+    def compute_block(node: jax.Array, exists: jax.Array) -> Any:
         codes = gather(table, node)
         count = jnp.sum(codes >= 0, axis=0, dtype=jnp.int32)
         return [list(slots(codes, exists[None])), [jnp.where(exists, count, 0)]], []
 
     depth = table.shape[0]
     into = [jnp.zeros((depth, node.size), jnp.int32), jnp.zeros((1, node.size), jnp.int32)]
-    (found, count), _ = over_blocks(work, node_block_count, (node, exists), into)
+    (found, count), _ = over_blocks(compute_block, node_block_count, (node, exists), into)
     return found, jnp.max(count.reshape(-1, BLOCK), axis=1)
 
 
@@ -358,13 +360,13 @@ def _nodes_of_moving(moving: jax.Array, assembly: Assembly, node_count: jax.Arra
     """Nodes (n_node,) of elements that can move."""
     table = assembly.table
 
-    def work(node: jax.Array) -> Any:
+    def compute_block(node: jax.Array) -> Any:
         codes = gather(table, jnp.minimum(node, table.shape[1] - 1))
         return [[jnp.any((codes >= 0) & gather(moving, jnp.maximum(codes, 0) >> 2), axis=0)]], []
 
     places = padded_length(table.shape[1])
     into = [jnp.zeros((1, places), bool)]
-    (found,), _ = over_blocks(work, -(-node_count // BLOCK), (jnp.arange(places, dtype=jnp.int32),), into)
+    (found,), _ = over_blocks(compute_block, -(-node_count // BLOCK), (jnp.arange(places, dtype=jnp.int32),), into)
     touched = found[0, : table.shape[1]]
     if assembly.overflow.size == 0:
         return touched

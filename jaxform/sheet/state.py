@@ -78,8 +78,8 @@ class Schedule:
     bounds: jax.Array
     split_at: jax.Array | None
 
-    def upcoming(self, row: jax.Array) -> jax.Array:
-        """The first window from `row` on that has steps; the number of windows where none has."""
+    def next_row(self, row: jax.Array) -> jax.Array:
+        """The first row from `row` on that has steps; the number of rows where none has."""
         index = jnp.arange(self.counts.size, dtype=row.dtype)
         return jnp.min(jnp.where((index >= row) & (self.counts > 0), index, index.size))
 

@@ -40,7 +40,7 @@ class Buck:
         view: The mold viewed from the sheet: rotated so that pressure pushes to +z.
         direction: Unit vector (3,) from the base to the side from which the sheet comes, in the file's axes.
         base: Height of the platen [m], after turning.
-        top: Height of what the sheet meets first [m], after turning; less than the base.
+        top: Height of the first place that the sheet meets [m], after turning; less than the base.
         body: Pixels (ny, nx) of what stands above the base.
         on_platen: True if the mold has a platen around the body.
         flat: True if it has a base; else the platen is where it is widest.
@@ -63,14 +63,14 @@ class Buck:
 
     @property
     def volume(self) -> float:
-        """Volume of the body and of what is hidden below it [m^3]."""
+        """Volume of the body and of the space hidden below it [m^3]."""
         return float((self.base - self.view.height[self.body]).sum()) * self.view.pixel**2
 
 
 class _Stand(NamedTuple):
     """A direction (3,) in which a mold may stand, the area of its base [m^2], and its share of the visible area.
 
-    The base may be rough; `foot` is the share of what is flat.
+    The base may be rough; `foot` is the flat share of it.
     """
 
     direction: Array
@@ -218,7 +218,7 @@ _PIXELS = 480  # of the longer side
 
 
 def deepest_undercut(buck: Buck, mold: Mesh) -> tuple[float, Array] | None:
-    """The deepest undercut above the platen, where the mold recedes farthest under what is above it; None for none.
+    """The deepest undercut above the platen, where the mold recedes farthest below an overhang; None without one.
 
     Args:
         buck: The mold in its pose.

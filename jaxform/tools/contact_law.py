@@ -1,4 +1,4 @@
-"""Contact laws: what a node that touches a tool does there."""
+"""Contact laws: the motion of nodes that touch a tool."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Covers for what a sheet would be blown through: holes of a mold, gaps under the edge of the sheet. On the host."""
+"""Covers for openings through which a sheet would be blown: holes of a mold, gaps under its edge. On the host."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
 
 
 def _fans(turned: Array, triangles: Integers, found: Opening, size: float) -> list[Mesh]:
-    """A cover on each open rim of a shell, behind the clamp plane as a whole, not around what is formed."""
+    """A cover on each open rim of a shell, entirely behind the clamp plane, not around the formed surface."""
     edges, part = topology.open_rims(triangles, len(turned))
     if not len(edges):
         return []

@@ -75,7 +75,7 @@ def _held_volume(mold: Mesh) -> float:
 
 
 def _held_volume_above(view: opening.Heights) -> float:
-    """The volume of water [m^3] held on the side that is viewed: what is surrounded at each height."""
+    """The volume of water [m^3] held on the viewed side: the enclosed area at each height, integrated."""
     high, low = float(view.height.min()), float(view.height[np.isfinite(view.height)].max())
     levels = np.linspace(high, low, _LEVELS + 1)[1:]
     above = [view.height <= level for level in levels]
@@ -235,7 +235,7 @@ class _Lines:
 
 
 def find_completion(mold: Mesh) -> Completion | None:
-    """The rest of an open mold that has no rim by itself, but one together with its images; None if there is none.
+    """The images that complete an open mold which has a rim only together with them; None without such images.
 
     A closed solid is whole as it is.
 

@@ -60,9 +60,9 @@ class Opening:
         level: Height of the clamp plane [m], after turning.
         base: Height [m] of the rim or of the base plate.
         cavity: Pixels (ny, nx) behind the clamp plane that are to be formed.
-        male: True if the sheet is formed over what stands out, not into what is hollow.
+        male: True if the sheet is formed over a protruding mold, not into a cavity.
         rim: Share of the edge that is at the height of the rim.
-        depth: Depth of what is formed [m].
+        depth: Depth of the formed part [m].
         others: Unit vectors (3,) to other sides, in the file's axes, on which a cavity holds nearly as much.
     """
 
@@ -169,7 +169,7 @@ def _male(look: SideView, size: float) -> Opening:
 
 
 def _limit_to_rim(look: SideView, size: float) -> SideView:
-    """The view within the rim of what holds most, without what is outside of that rim; else the view as it is.
+    """The view within the rim of the largest cavity, without the surface outside that rim; else the view unchanged.
 
     Thus handles, lips and skirts do not count, and a rim may stand above the flange that surrounds it.
     """
@@ -329,7 +329,7 @@ class Heights:
 
     @property
     def edge(self) -> Mask:
-        """Pixels of what is inside that are next to the outside."""
+        """Inner pixels that are next to the outside."""
         return self.inside & ~outlines.dilate(self.inside, -1)
 
     def places(self, pixels: Mask) -> Array:

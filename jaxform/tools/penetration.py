@@ -93,7 +93,7 @@ def penetration(
         grid: The mold's search structure; made here by default.
         resting: Unit directions (n_node, 3) against the pressure's push, of nodes that are where they began; 0 of the
             others. Where they are in contact, that is the side on which they are, whatever `wall` says.
-        pull: Unit vector (3,) in which the part is pulled off the mold; None where there is none.
+        pull: Unit vector (3,) in which the part is pulled off the mold; None without such a direction.
     """
     mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
     size = float(np.ptp(mold_corners, axis=(0, 1)).max())

@@ -38,7 +38,7 @@ class Ribs(NamedTuple):
 
     Attributes:
         count: Number of places, which are sides of elements or elements; 1 before a run.
-        height: Height of the highest above the sheet, or above what is around it [m].
+        height: Height of the highest above the sheet, or above its surroundings [m].
         width: Width of that one where it is crossed, or at most half way up [m].
         place: Place of that crossing, or of its top (3,) [m].
     """
@@ -54,7 +54,7 @@ NO_RIBS = Ribs(0, 0.0, 0.0, np.zeros(3))
 
 
 class _Spots(NamedTuple):
-    """Places inside what a sheet passed through.
+    """Places inside ribs or pins that a sheet passed through.
 
     Attributes:
         place: Their positions (n, 3) [m].
@@ -315,7 +315,7 @@ def slender_feature(sheet: Array, mold: Array, push: Array, side: float, held: A
         mold: Corners of the mold's triangles (n_triangle, 3, 3) [m].
         push: Unit vector (3,) along which the sheet is pushed.
         side: Side of an element [m].
-        held: Positions of clamped nodes (n, 3) [m]: what is beside them is the rim of the mold.
+        held: Positions of clamped nodes (n, 3) [m]: the mold beside them is its rim.
     """
     across = np.linalg.svd(push[None])[2][1:]
     flat, wall = sheet @ across.T, mold @ across.T
@@ -347,7 +347,7 @@ def _highest(
 ) -> tuple[tuple[int, int], float] | None:
     """The pixel of the highest rib that is higher than `least`, and half its width [pixels]; None where there is none.
 
-    A disc does not fill the corners of what is wide enough: what is that near to it is no rib.
+    A disc does not fill the corners of a wide block: places near the disc are not counted as a rib.
 
     Args:
         above: Height of a pixel over the surface that an element can lie on (height, width) [m].

@@ -81,7 +81,7 @@ def test_a_target_out_of_reach_is_a_warning() -> None:
     scene = scenes.cup()
     assert feasibility.doubts(_study(optimize.Target(scene, 0.03))) == []
     (sentence,) = feasibility.doubts(_study(optimize.Target(scene, 0.12)))
-    assert "75% off" in sentence and "unit" in sentence and "\n" not in sentence
+    assert "75% less" in sentence and "unit" in sentence and "\n" not in sentence
 
 
 # --- After ------------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The parts of the page that are text and tables, as HTML; what is drawn, the page's scripts add."""
+"""The text and tables of the page, as HTML; scripts of the page add the drawings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NOTHING = "\N{EN DASH}"
 
 
 def number(value: Any, factor: float = 1.0, digits: int = 4) -> str:
-    """A number in a few digits; a dash for what is no number."""
+    """A number in a few digits; a dash for a missing number."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return _NOTHING
     return f"{factor * value + 0.0:.{digits}g}"

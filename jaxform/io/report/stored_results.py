@@ -1,4 +1,4 @@
-"""A results folder, read and validated: what the report shows is what the files say."""
+"""A results folder, read and validated: the report shows the contents of its files."""
 
 from __future__ import annotations
 

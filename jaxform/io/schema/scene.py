@@ -155,12 +155,12 @@ class GasTable(Table):
         discharge_coefficient: Discharge coefficient of valve and vent.
         heat_capacity_ratio: Ratio of the heat capacities of the gas, for the flow through valve and vent, and where it
             is adiabatic.
-        temperature: Temperature of the gas at first, and of what flows in [K].
+        temperature: Initial temperature of the gas, and that of the inflow [K].
         gas_constant: Specific gas constant [J/(kg K)].
-        ambient_pressure: Absolute pressure outside, and inside at first [Pa].
+        ambient_pressure: Absolute pressure outside, and initially inside [Pa].
         dead_volume: Volume of the gas beside that under the sheet [m^3]; a flat sheet needs it. Closed by the mold,
             the volume of the mold's cavity, of the modelled part, of which the sheet takes its share.
-        adiabatic: True if the gas exchanges no heat and has a temperature of its own; by default it is constant.
+        adiabatic: True if the gas exchanges no heat, so that its temperature varies; by default it is constant.
         closed_by: The surface that closes the volume: the `clamp`, that is the plane or the rings in which the sheet is
             clamped, or the `mold`, for the gas between the sheet and the mold, which resists the sheet.
     """
