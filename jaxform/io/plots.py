@@ -24,6 +24,7 @@ from jaxform.io.surfaces import (
     counted_elements,
     distinguishable_points,
     hangs_before,
+    is_flat,
     mirror_points,
     part_view,
     sheet_view,
@@ -46,6 +47,7 @@ _BEFORE, AFTER, _EXACT = "#7f7f7f", "#0072b2", "#d55e00"
 _FAINT = {"color": "#c8c8c8", "alpha": 0.7, "zorder": 1}  # of what is formed with the part, but cut off it
 _POINTS = {"marker": "o", "linestyle": "none"}
 _KEPT = 5e-3  # of a limit, by which it may be broken
+_GROUPS, _ACROSS = 40, 0.1  # of nodes along the sheet; of its variance, what a field has within these at least
 
 
 def thickness_picture(
@@ -282,23 +284,24 @@ def _draw_ways(axes: Any, before: Scene, after: Scene) -> None:
 
 def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
     disc = sections.is_disc(before)
-    along = int(np.argmax(np.ptp(np.asarray(before.parison.positions, float), axis=0)))
     for scene, color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
-        place = sections.initial_radius(scene) if disc else np.asarray(scene.parison.positions, float)[:, along]
+        place = _places_along(scene)[0]
         order = np.argsort(place)
         thickness = np.asarray(scene.parison.thickness, float)[order]
         shown = np.sort(distinguishable_points(place[order], thickness))
         line: dict[str, Any] = {"linewidth": 2} if disc else {"linestyle": "none", "marker": ".", "markersize": 4}
         axes.plot(1e3 * place[order][shown], 1e3 * thickness[shown], color=color, label=words, **line)
-    where = "initial radius" if disc else f"initial {'xyz'[along]}"
-    axes.set(xlabel=f"{where} [mm]", ylabel="initial thickness [mm]")
+    axes.set(xlabel=f"{_places_along(after)[1]} [mm]", ylabel="initial thickness [mm]")
     axes.legend(frameon=False)
 
 
 def _designed_field(before: Scene, after: Scene) -> tuple[str, str] | None:
-    """Key and label of the field over the sheet that was changed; None without one, or where the thickness was."""
+    """Key and label of the field over the sheet that was changed; None without one, or where the thickness was.
+
+    The thickness of a flat sheet is a field where it is none of the place along which it would be drawn.
+    """
     if not np.array_equal(before.parison.thickness, after.parison.thickness):
-        return None
+        return ("parison.thickness", "initial thickness [mm]") if _varies_across(after) else None
     varying = {f"material.{name}": name for name, values in after.material.zones.items() if values.ndim == 1}
     units = {name: allowed.unit for name, allowed in parameter_ranges(after.material).items()}
     words = {key: f"{name} over the sheet" + f" [{units[name]}]" * bool(units[name]) for key, name in varying.items()}
@@ -309,9 +312,29 @@ def _designed_field(before: Scene, after: Scene) -> tuple[str, str] | None:
     return None
 
 
+def _varies_across(scene: Scene) -> bool:
+    """True if the thickness of a flat sheet differs between nodes at nearly the same place along the sheet."""
+    if not is_flat(scene):
+        return False
+    thickness = np.asarray(scene.parison.thickness, float)[np.argsort(_places_along(scene)[0])]
+    groups = np.array_split(thickness, max(1, min(_GROUPS, len(thickness) // 8)))
+    within = np.concatenate([group - group.mean() for group in groups])
+    return bool(np.var(within) > _ACROSS * np.var(thickness))
+
+
+def _places_along(scene: Scene) -> tuple[Array, str]:
+    """Places of the nodes along the initial sheet (n_node,) [m], of a disc their radius, and the name of these."""
+    if sections.is_disc(scene):
+        return sections.initial_radius(scene), "initial radius"
+    positions = np.asarray(scene.parison.positions, float)
+    along = int(np.argmax(np.ptp(positions, axis=0)))
+    return positions[:, along], f"initial {'xyz'[along]}"
+
+
 def _draw_field(figure: Any, axes: Any, scene: Scene, key: str, words: str) -> None:
     """A map of the values at a key of a scene (n_node,) over the sheet before it is formed."""
     places, values = 1e3 * np.asarray(scene.parison.positions, float), np.asarray(number_at(scene, key), float)
+    values = 1e3 * values if key == "parison.thickness" else values
     first, second = np.sort(np.argsort(np.ptp(places, axis=0))[1:])
     triangles = np.asarray(scene.parison.triangles)
     x, y = places[:, first], places[:, second]

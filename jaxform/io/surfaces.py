@@ -88,11 +88,12 @@ def hangs_before(scene: Scene) -> bool:
 
     A cavity opens upwards then, a buck is below the sheet, and a plug above.
     """
-    flat = bool(scene.surfaces) and _is_flat(scene)
+    flat = bool(scene.surfaces) and is_flat(scene)
     return _push_along_z(scene) > (0.0 if flat else _FACING if scene.motion is not None or scene.tools else 1.0)
 
 
-def _is_flat(scene: Scene) -> bool:
+def is_flat(scene: Scene) -> bool:
+    """True if the initial sheet lies in a plane z = const, or nearly."""
     start = np.asarray(scene.parison.positions, float)
     return bool(np.ptp(start[:, 2]) <= _FLAT * np.ptp(start, axis=0).max())
 
@@ -134,7 +135,7 @@ def _hangs(scene: Scene, result: Result) -> bool:
     """
     start = np.asarray(scene.parison.positions, float)
     rise = (np.asarray(result.positions, float) - start)[:, 2].mean()
-    if scene.surfaces and _is_flat(scene):
+    if scene.surfaces and is_flat(scene):
         along = _push_along_z(scene)
         return along > 0 if along else bool(rise < 0)
     return bool(np.asarray(scene.parison.clamped).any() and rise > 0 and sections.symmetry_planes(scene))

@@ -381,3 +381,24 @@ def test_labels_of_tall_parts_are_in_the_picture(rise: float) -> None:
         assert extent.y0 >= 0.0 and extent.y1 <= figure.bbox.y1 and 0.0 <= extent.x0 < extent.x1 <= 0.475 * 1600
     # The drawing is not lost by it.
     assert all(artist.get_visible() for artist in axes.artists)
+
+
+@pytest.mark.parametrize("shape", ["disc", "rectangle"])
+def test_a_designed_field_of_thickness_is_a_map_and_a_profile_a_line(shape: str) -> None:
+    """Over the place along the sheet the values of a field are a cloud, in which nothing is seen of it."""
+    sheets = {
+        "disc": shapes.disc(radius=1.0, elements=400),
+        "rectangle": shapes.rectangle(size=[2.0, 1.0], elements=400),
+    }
+    scene, _ = _at_rest(sheets[shape])
+    x, y = np.asarray(scene.parison.positions)[:, :2].T
+    along = np.hypot(x, y) if shape == "disc" else x
+    found = {}
+    for name, field in (("field", np.exp(-4 * ((x - 0.5) ** 2 + y**2))), ("profile", np.maximum(along, 0.5))):
+        design = jaxform.replace(scene, {"parison.thickness": scene.parison.thickness * (1 + jnp.asarray(field))})
+        found[name] = plots._designed_field(scene, design)
+        figure = canvas.new_figure(8, 5, "")
+        plots._draw_field(figure, figure.add_axes((0.1, 0.1, 0.6, 0.8)), design, "parison.thickness", "thickness")
+        (drawn,) = figure.axes[0].collections
+        np.testing.assert_allclose(drawn.get_array(), 1e3 * np.asarray(design.parison.thickness), rtol=1e-12)
+    assert found == {"field": ("parison.thickness", "initial thickness [mm]"), "profile": None}
