@@ -5,22 +5,25 @@ from __future__ import annotations
 import argparse
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
 
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
-    from jaxform.mesh.shapes import Sheet
 
 NAME = "adapted.toml"
 """The file of the adapted scene; its mesh has the same name."""
+SUMMARY = "summary.json"
+"""The file that says which runs the mesh was made from."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `jaxform adapt`."""
     parser.add_argument("source", metavar="SCENE", help="a built-in name or a .toml file")
-    parser.add_argument("--out", metavar="DIR", required=True, type=Path, help=f"folder for {NAME} and its mesh")
+    parser.add_argument(
+        "--out", metavar="DIR", required=True, type=Path, help=f"folder for {NAME}, its mesh and {SUMMARY}"
+    )
     words = "largest number of elements; by default that of parison.adapt, 2500, or that of SCENE if larger"
     parser.add_argument("--elements", metavar="N", type=int, help=words)
     words = "number of runs, each followed by a new mesh; by default that of parison.adapt, or 2"
@@ -33,22 +36,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def adapt(arguments: argparse.Namespace) -> int:
     """Runs `jaxform adapt` with its arguments and returns its exit status."""
     say, store = session.prepare(arguments)
-    from jaxform.io import adaptation, files, geometry, scene_rewriting
+    from jaxform.io import adaptation, files, geometry, output, scene_rewriting
 
     read = files.read_scene(arguments.source)
     document = adaptation.adaptable(read, elements=arguments.elements, passes=arguments.passes)
     session.open_folder(arguments.out, arguments.force)
 
-    def report(number: int, sheet: Sheet, error: float) -> None:
-        say(f"run {number} with {len(sheet.triangles)} elements: estimated error of their wall {100 * error:.2g} %")
+    runs: list[dict[str, Any]] = []
+
+    def report(run: dict[str, Any]) -> None:
+        runs.append(run)
+        say(f"run {len(runs)} with {describe_run(run)}")
 
     with files.error_context(document.file):
         first = geometry.build_sheet(adaptation.without_adaptation(document), store)
         made = adaptation.adapt_sheet(document, first, store, report)
         path = scene_rewriting.write_scene(document, {}, arguments.out, NAME)
+    output.write_json(arguments.out / SUMMARY, {"scene": document.name, "elements": len(made.triangles), "runs": runs})
     say(f"wrote {NAME} with {len(made.triangles)} elements into {arguments.out}")
     say(f"next:\n    jaxform simulate {shlex.quote(str(path))} --out {shlex.quote(str(arguments.out / 'formed'))}")
     return session.DONE
+
+
+def describe_run(run: dict[str, Any]) -> str:
+    """A sentence on a run before the run: elements, error, moved nodes."""
+    words = f"{run['elements']} elements: estimated error of their wall {100 * run['estimated_error']:.2g} %"
+    if "nodes_moved" not in run:
+        return words
+    return (
+        f"{words}; {run['nodes_moved']} nodes moved onto sharp edges, by up to {run['farthest_move']:.2g} of an element"
+    )
 
 
 def describe(document: SceneDocument) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxform.adapt import mesher
 from jaxform.core.errors import InputError, InputWarning, redirect_warnings, warn_of
@@ -23,8 +24,10 @@ from jaxform.results.summary import explain
 from jaxform.runs.host import run
 from jaxform.sheet.state import Status
 
-Report = Callable[[int, Sheet, float], object]
-"""Is told the number of a pass, the sheet of its run, and the estimated relative rms error of that run's wall."""
+Report = Callable[[dict[str, Any]], object]
+"""Is told of each run: see `_facts`."""
+
+Array = NDArray[np.float64]
 
 _STOPS = (
     Status.NON_FINITE
@@ -36,6 +39,8 @@ _STOPS = (
     | Status.INPUT
 )
 """Statuses of runs whose wall does not say where elements should be; an unfilled corner is none of them."""
+_FITS = 2  # runs after which nodes are moved onto edges, at most
+_FITTED = 0.02  # of an element, which no node is moved by for the last time
 _DOUBTFUL, _GOOD = 0.10, 0.05  # estimated errors of the elements' wall: of one to warn of, and of one that will do
 _ELEMENTS = 2500  # of a new mesh by default, where the first has no more
 _RECENT = 8  # adapted meshes that a process keeps, which a study and its best scene ask for again
@@ -51,7 +56,7 @@ def adapt_sheet(
         document: The scene.
         sheet: Its sheet on its own mesh, on which it is run first.
         store: Store for the mesh and for programs; none by default.
-        report: Is told of each pass, where the mesh is not kept from before.
+        report: Is told of each run, also where the mesh is kept from before.
 
     Raises:
         InputError: Mmg is not installed, a run stopped, or the sheet needs more elements.
@@ -59,13 +64,21 @@ def adapt_sheet(
     Warns:
         InputWarning: The elements are too few for the wall.
     """
-    key = _key(document, sheet)
+    key, told = _key(document, sheet), list[Array]()
+
+    def tell(run: Array) -> None:
+        told.append(run)
+        if report is not None:
+            report(_facts(run))
+
     if key not in _recent:
-        made = (store or Store()).arrays("adapted", (key,), lambda: _make(document, sheet, store, report))
+        made = (store or Store()).arrays("adapted", (key,), lambda: _make(document, sheet, store, tell))
         while len(_recent) >= _RECENT:
             _recent.pop(next(iter(_recent)))
         _recent[key] = made
     kept = dict(_recent[key])
+    for run_before in kept.pop(_RUNS, np.zeros((0, 4)))[len(told) :]:
+        tell(run_before)
     _warn_of_error(float(kept.pop(_ERROR, 0.0)), len(kept["triangles"]))
     held: Any = {name: kept.pop(name) for name in ("positions", "triangles", "clamped", "fixed")}
     return Sheet(**held, fields=kept, snap=sheet.snap, guided=sheet.guided)
@@ -84,6 +97,8 @@ def _key(document: SceneDocument, sheet: Sheet) -> str:
 
 _ERROR = "estimated_error"
 """The name of the expected error among the arrays of an adapted sheet."""
+_RUNS, _UNMOVED = "runs", -1.0
+"""The name of what is told of runs (n, 4): elements, error, moved nodes or -1, and the farthest move [elements]."""
 
 
 def _warn_of_error(error: float, elements: int) -> None:
@@ -100,26 +115,55 @@ def _arrays(sheet: Sheet) -> Arrays:
     return sheet.fields | held
 
 
-def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Report | None) -> Arrays:
-    """The sheet after all passes, and the error that is expected of its wall, as named arrays."""
+def _make(document: SceneDocument, sheet: Sheet, store: Store | None, tell: Callable[[Array], None]) -> Arrays:
+    """The sheet after all runs, what there is to tell of each, and the error that is expected of its wall, by name."""
     wanted = document.model.parison.adapt
     assert wanted is not None
     mesher.load_mmg()
-    expected, most = 0.0, wanted.elements or max(_ELEMENTS, len(sheet.triangles))
+    runs, most = list[Array](), wanted.elements or max(_ELEMENTS, len(sheet.triangles))
+
+    def note(*run: float) -> None:
+        runs.append(np.array(run))
+        tell(runs[-1])
+
     for number in range(1, wanted.passes + 1):
         scene, result = _run_pass(document, sheet, store, number)
-        errors, weight = size_field.element_errors(scene, result), np.asarray(scene.tables.sheet.area, float)
-        error = float(np.sqrt(np.average(np.square(errors), weights=weight)))
-        if report is not None:
-            report(number, sheet, error)
-        lines, before = size_field.edge_lines(scene, result), len(sheet.triangles)
+        note(len(sheet.triangles), size_field.mean_error(scene, result), _UNMOVED, 0.0)
+        lines = size_field.edge_lines(scene, result)
         sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), most, lines)
-        expected = error * float(np.sqrt(before / len(sheet.triangles)))
-    # Nodes beside edges that are held would land beside them: they are moved once what lies between has been seen.
     if document.model.solver.edge_contact:
-        scene, result = _run_pass(document, sheet, store, wanted.passes + 1)
-        sheet = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result))
-    return {**_arrays(sheet), _ERROR: np.array(expected)}
+        sheet = _move_to_edges(document, sheet, store, wanted.passes, note)
+    expected = runs[-1][1] * float(np.sqrt(runs[-1][0] / len(sheet.triangles)))
+    return {**_arrays(sheet), _RUNS: np.array(runs), _ERROR: np.array(expected)}
+
+
+def _move_to_edges(
+    document: SceneDocument, sheet: Sheet, store: Store | None, passes: int, note: Callable[..., None]
+) -> Sheet:
+    """The sheet with nodes beside sharp edges moved so that they land on them.
+
+    By how much is seen in a run. The stretch beside an edge changes with the move, so another run shows what is left.
+    """
+    for number in range(passes + 1, passes + 1 + _FITS):
+        scene, result = _run_pass(document, sheet, store, number)
+        made = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result))
+        moves = np.linalg.norm(made.positions - sheet.positions, axis=1) / np.sqrt(np.mean(scene.tables.sheet.area))
+        error = size_field.mean_error(scene, result)
+        note(len(sheet.triangles), error, np.count_nonzero(moves), float(moves.max()))
+        sheet = made
+        if moves.max() <= _FITTED:
+            break
+    return sheet
+
+
+def _facts(run: Array) -> dict[str, Any]:
+    """A run before the run, by name: its elements, and the estimated relative rms error of their wall.
+
+    Of a run after which nodes were moved onto sharp edges of tools also how many were moved, and how far at most, in
+    mean sizes of an element.
+    """
+    facts = {"elements": int(run[0]), "estimated_error": float(run[1])}
+    return facts if run[2] == _UNMOVED else facts | {"nodes_moved": int(run[2]), "farthest_move": float(run[3])}
 
 
 def _run_pass(document: SceneDocument, sheet: Sheet, store: Store | None, number: int) -> tuple[Scene, Result]:

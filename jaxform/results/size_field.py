@@ -70,6 +70,11 @@ def element_errors(scene: Scene, result: Result) -> Array:
     return np.log(np.asarray(result.element_thickness, float) / start[triangles].mean(1)) - recovered
 
 
+def mean_error(scene: Scene, result: Result) -> float:
+    """The estimated relative rms error of the elements' thickness, by initial area."""
+    return float(np.sqrt(np.average(np.square(element_errors(scene, result)), weights=scene.tables.sheet.area)))
+
+
 def _mean_at_nodes(values: Array, triangles: Any, area: Array, count: int) -> Array:
     """Means by initial area over the elements of each node (n_node,)."""
     weight = np.bincount(triangles.ravel(), np.repeat(area, 3), count)
@@ -176,7 +181,7 @@ def _is_convex(vertices: Array, edges: NDArray[np.integer], places: Array) -> ND
 
 _BESIDE = 0.5  # of the mean formed side at a node: it is moved onto an edge no farther away
 _ALONG = 0.8  # cosine to the edge, of a way between nodes that follow one another on it
-_ON_EDGE = 0.02  # of it: an element as near to the place of an edge is held there, or has a node there
+_ON_EDGE = 0.002  # of it: an element as near to the place of an edge is held there, or has a node there
 
 
 def places_at_edges(scene: Scene, result: Result) -> tuple[Array, NDArray[np.int64]]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from jaxform.contact.broad_phase import TEST_BLOCK, NearSides
 from jaxform.contact.edge_contact import HeldSides, no_held_sides
 from jaxform.core.pytree import as_real
 from jaxform.dynamics import window_state
+from jaxform.io import adaptation
 from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.topology import sharp_edges
 from jaxform.results import size_field
@@ -286,20 +288,43 @@ def _on_sheet(known: jaxform.Scene, sheet: Sheet) -> jaxform.Scene:
     )
 
 
-def test_nodes_beside_a_ridge_are_moved_and_every_element_has_the_exact_wall() -> None:
-    known, worst, places = blown(16), [], strip(16).positions
+def test_nodes_beside_a_ridge_are_moved_and_every_element_has_the_exact_wall(monkeypatch: pytest.MonkeyPatch) -> None:
+    known, worst, places, told = blown(16), list[float](), strip(16).positions, list[tuple[float, ...]]()
     fixed = np.tile([False, True, False], (34, 1))
     sheet = Sheet(np.asarray(places), np.asarray(known.parison.triangles), np.asarray(known.parison.clamped), fixed)
-    for _ in range(2):
+
+    def run(document: Any, sheet: Sheet, *_: Any) -> tuple[jaxform.Scene, jaxform.Result]:
         scene = _on_sheet(known, sheet)
         result = jaxform.run(scene)
         middle = sheet.positions[sheet.triangles][..., 0].mean(1)
         exact = np.where(middle < RIDGE, exact_wall(RIDGE), exact_wall(LENGTH - RIDGE))
         worst.append(float(np.abs(np.asarray(result.element_thickness) / exact - 1.0).max()))
-        sheet = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result))
+        return scene, result
+
+    monkeypatch.setattr(adaptation, "_run_pass", run)
+    document: Any = None
+    sheet = adaptation._move_to_edges(document, sheet, None, 1, lambda *run: told.append(run))
     np.testing.assert_allclose(np.sort(np.abs(sheet.positions[:, 0] - RIDGE))[:2], 0.0, atol=1e-5)
     assert worst[0] > 0.05  # the elements over the ridge are held in their middle
     assert worst[1] < 0.01
+    elements, _, moved, farthest = np.array(told).T
+    assert elements.tolist() == [32, 32] and moved[0] == 2
+    assert farthest[0] > 0.2 > 0.02 > farthest[1]
+
+
+def test_a_node_before_an_edge_is_moved_though_an_element_beyond_it_passes_the_edge_closely() -> None:
+    scene = over_rib(16)
+    result = jaxform.run(scene)
+    place, stuck = np.asarray(result.positions).copy(), np.asarray(result.stuck).copy()
+    before = [6, 23]  # on top of the rib, which the next ones hang beside
+    for row in (0, 17):
+        place[row + 5, ::2], place[row + 6, ::2], place[row + 7, ::2] = (0.0315, 0.03), (0.0326, 1e-3), (0.0364, 1e-3)
+        stuck[row + 6] = stuck[row + 7] = True
+    formed = dataclasses.replace(result, positions=jnp.asarray(place), stuck=jnp.asarray(stuck))
+    goal, _ = size_field.places_at_edges(scene, formed)
+    start = np.asarray(scene.parison.positions)
+    # 0.1 of the 3.8 mm between these nodes, which were 6.25 mm apart.
+    np.testing.assert_allclose((goal - start)[before, 0], -0.1 / 3.8 * 6.25e-3, rtol=1e-6)
 
 
 def test_nodes_that_follow_one_another_on_an_edge_are_joined() -> None:

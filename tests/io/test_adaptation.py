@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -15,7 +17,9 @@ import jaxform
 from benchmarks.accuracy import cases
 from jaxform.cli import main
 from jaxform.core.errors import InputError, InputWarning
+from jaxform.core.store import Arrays
 from jaxform.io import adaptation, files, geometry, scene_rewriting
+from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
 
 pytest.importorskip("mmgpy")
@@ -83,6 +87,29 @@ def test_the_command_writes_a_scene_that_is_more_accurate(tmp_path: Path, capsys
     # The key in the scene gives the same mesh.
     scene = files.build(files.read_scene(_write(tmp_path, "adapt = { elements = 600 }", thickness=profile)))
     np.testing.assert_array_equal(scene.parison.positions, adapted.parison.positions)
+
+
+def test_the_command_tells_of_each_run_also_of_a_mesh_that_is_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = np.array([[60.0, 0.12, -1.0, 0.0], [80.0, 0.03, 7.0, 0.25]])
+
+    def make(document: object, sheet: Sheet, store: object, tell: Callable[[np.ndarray], None]) -> Arrays:
+        for run in runs:
+            tell(run)
+        return {**adaptation._arrays(sheet), adaptation._RUNS: runs}
+
+    monkeypatch.setattr(adaptation, "_make", make)
+    path, out = _write(tmp_path, elements=60), tmp_path / "out"
+    for _ in range(2):
+        assert main(["adapt", str(path), "--out", str(out), "--force"]) == 0
+        told = capsys.readouterr().out
+        assert "run 1 with 60 elements: estimated error of their wall 12 %\n" in told
+        assert "error of their wall 3 %; 7 nodes moved onto sharp edges, by up to 0.25 of an element\n" in told
+        assert json.loads((out / "summary.json").read_text())["runs"] == [
+            {"elements": 60, "estimated_error": 0.12},
+            {"elements": 80, "estimated_error": 0.03, "nodes_moved": 7, "farthest_move": 0.25},
+        ]
 
 
 def test_a_best_design_keeps_the_mesh_that_it_was_found_on(tmp_path: Path) -> None:
