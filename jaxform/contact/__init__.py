@@ -1,1 +1,1 @@
-"""Sticking contact: which nodes can meet which triangles, when they do, and where they land."""
+"""Contact with tools: candidates, broad phase, landing, sliding, and sides held at sharp edges."""

@@ -42,7 +42,9 @@ class SlideInput(NamedTuple):
     temperature: jax.Array | None = None
 
     @classmethod
-    def of(cls, nodes: Nodes, free: Any, nodal: Any, masses: tuple[jax.Array, Any], sliding: jax.Array) -> SlideInput:
+    def from_nodes(
+        cls, nodes: Nodes, free: Any, nodal: Any, masses: tuple[jax.Array, Any], sliding: jax.Array
+    ) -> SlideInput:
         """From nodes before the step, free velocities and forces, three times (n,), and mass and compliance."""
         before = vector(nodes.positions), vector(nodes.velocities)
         mass, compliance = masses

@@ -20,7 +20,7 @@ from jaxform.core import disk
 from jaxform.core.errors import InputError
 from jaxform.core.installation import usable_cores
 
-# Under which of JAX's settings this package computes, whatever its user has chosen for code of their own.
+# Settings of JAX under which this package computes, independent of the settings of the user's code.
 
 
 def with_standard_promotion[**P, R](function: Callable[P, R]) -> Callable[P, R]:

@@ -65,7 +65,7 @@ _told: ContextVar[Callable[[str], object] | None] = ContextVar("told", default=N
 
 @contextlib.contextmanager
 def redirect_warnings(tell: Callable[[str], object]) -> Iterator[None]:
-    """Such warnings are told to a function: on a thread beside others, which may turn Python's warnings off and on."""
+    """Passes such warnings to a function, also on a thread beside others that turn Python's warnings off and on."""
     token = _told.set(tell)
     try:
         yield
@@ -75,7 +75,7 @@ def redirect_warnings(tell: Callable[[str], object]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def collect_warnings(tell: Callable[[str], object]) -> Iterator[list[str]]:
-    """The texts of the `InputWarning`s raised inside, each once and told at once; others go their usual way."""
+    """The texts of the `InputWarning`s raised inside, each passed on once and at once; others are unaffected."""
     texts: list[str] = []
     with warnings.catch_warnings():
         otherwise = warnings.showwarning
@@ -144,7 +144,7 @@ def describe_system_error(error: BaseException) -> str | None:
         return _describe_os_error(error)
     if isinstance(error, RecursionError):
         return "the input is nested too deeply; simplify it"
-    # XLA's is a RuntimeError, told by its words alone.
+    # XLA's is a RuntimeError, recognized by its text alone.
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         return "there is not enough memory; use fewer elements, a lower max_level or a coarser mold"
     return None

@@ -154,7 +154,7 @@ DESIGNABLE = [
     "mold.heat_transfer",
 ]
 """Paths that `replace` may set; the index of each is its bit in `Result.out_of_range`. A law may add to it."""
-WORDS, BITS = 4, 31  # whole numbers in which it is told which are out of range, and how many in each
+WORDS, BITS = 4, 31  # integers whose bits mark the numbers out of range, and bits used of each
 _declared: dict[str, list[Range]] = {}
 
 

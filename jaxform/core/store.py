@@ -94,7 +94,7 @@ class Store:
         return arrays
 
     def is_noted(self, name: str, key: tuple[Any, ...]) -> bool:
-        """True if `note` was called with the same, by whatever process."""
+        """True if `note` was called with the same, by any process."""
         path = self._path(name, key)
         return path is not None and _read_verified(path) is not None
 
@@ -130,7 +130,7 @@ class Store:
             self._ahead = submit_compilation(lambda: self._start_preloading(subject))
 
     def record_programs(self, subject: str) -> None:
-        """Notes which kept programs a run of a subject took; what was loaded for it in vain is let go."""
+        """Notes which stored programs a run of a subject used; programs loaded without use are released."""
         self._ahead = None
         if self.folder is None or not self._taken:
             return
@@ -199,14 +199,14 @@ class Store:
         described, loading = begun
         try:
             shapes, of_trees = _restore_trees(described)
-        except Exception:  # whatever pickle raises for what another version has written
+        except Exception:  # any error of pickle for a file of another version
             return None
         done: Future[Callable[..., Any]] = Future()
 
         def forward_result(loaded: Future[Callable[..., Any]]) -> None:
             try:
                 done.set_result(of_trees(loaded.result()))
-            except Exception:  # whatever XLA says of a program that this machine or version does not take
+            except Exception:  # any error of XLA for a program of another machine or version
                 _compile_into(done, function, arguments)
 
         loading.add_done_callback(forward_result)
@@ -372,7 +372,7 @@ def serialize_program(shapes: Any, program: Any) -> bytes | None:
     try:
         code, given, made = serialize_executable.serialize(program)
         content = pickle.dumps((code, given.num_leaves, made.num_leaves, pickle.dumps((described, tree, made))))
-    except Exception:  # whatever: it is compiled again next time
+    except Exception:  # any error: it is compiled again next time
         return None
     return zlib.compress(content, 1)
 
@@ -405,7 +405,7 @@ def deserialize_program(content: Any) -> tuple[bytes, Callable[[], Program]] | N
     try:
         code, given, made, described = pickle.loads(zlib.decompress(content))
         leaves = jax.tree.structure((tuple(range(given)), {})), jax.tree.structure(tuple(range(made)))
-    except Exception:  # whatever pickle raises for what another version has written
+    except Exception:  # any error of pickle for a file of another version
         return None
 
     def load() -> Program:

@@ -1,1 +1,1 @@
-"""Time: the step, the window of steps, and how long both are."""
+"""Time integration: the step, the window of steps, and the lengths of both."""

@@ -302,7 +302,7 @@ def _advance_nodes(
     if state.slip is None:
         return advanced
     sliding = sliding_nodes(state.stuck, state.wall) & ~current.halted
-    slide_input = SlideInput.of(state, velocities, nodal, nodes[1:], sliding)
+    slide_input = SlideInput.from_nodes(state, velocities, nodal, nodes[1:], sliding)
     slid = slide_nodes(
         slide_input, (velocity_step, length), scene.surfaces, frames, scene.solver.damping, differentiable=True
     )
@@ -371,7 +371,7 @@ def _advance_nodes_in_blocks(
             state, positions=(x, y, z), velocities=before, wall=wall, tool=tool, temperature=temperature
         )
         sliding = sliding_nodes(nodes[0], wall)
-        slide_input = SlideInput.of(slid_from, materialize(velocities), nodal, nodes[1:], sliding)
+        slide_input = SlideInput.from_nodes(slid_from, materialize(velocities), nodal, nodes[1:], sliding)
         slid = slide_within_facets(slide_input, facets, (velocity_step, length), surfaces, frames, damping)
         (place, on_tool), stays, lost, distance = slid
         # Nodes that leave their triangle are moved by `_walk_nodes`.
@@ -469,7 +469,7 @@ def _walk_nodes(
         slid_from = dataclasses.replace(
             state, positions=places, velocities=old, wall=touching.wall, tool=tool, temperature=temperature
         )
-        slide_input = SlideInput.of(slid_from, free, nodal, (mass, compliance), sliding)
+        slide_input = SlideInput.from_nodes(slid_from, free, nodal, (mass, compliance), sliding)
         slid = materialize(slide_nodes(slide_input, steps, scene.surfaces, frames, damping, differentiable=False))
         time = jnp.where(slid.left, -1.0, touching.contact_time)
         far = touching.distance + jnp.where(sliding, slid.distance, 0.0)

@@ -39,7 +39,7 @@ _SQUARINGS = 30  # of a small matrix: they separate eigenvalues a billionth apar
 _MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
 _RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
 _WEAK_DAMPING = 5e-4, 2e-3  # of a velocity in a step: with less the step is that without damping, with more the whole
-_SWINGING = 5.0  # times over damping, until which a sheet swings that a clamp let go: to less than 1 % of the energy
+_SWINGING = 5.0  # over damping: time until a sheet released by a clamp has less than 1 % of its kinetic energy
 _GAIN, _MOST_SHORTENING = 1e-3, 4.0  # of the largest work: gained beyond that, the step is shorter in proportion
 _RISE_LEVELS = 15.5  # by how many the step rises again where nothing damps: between two, so that rounding decides none
 LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
@@ -215,7 +215,7 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
 
 
 def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:
-    """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
+    """A step [s] that is stable for any neighbours of the elements, in tension. The state is in packed order."""
     rows, elements = membrane.unstack_rows(state.nodes.positions), active.packed.elements
     immobile = immobile_nodes(state, scene)
 

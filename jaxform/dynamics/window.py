@@ -1,6 +1,6 @@
-"""One step, and one window of steps.
+"""One window of steps.
 
-Every loop uses the same step and the same window. Discrete decisions (the step length, the active elements, the nodes
+Every loop uses the same window. Discrete decisions (the step length, the active elements, the nodes
 tested against the mold) are made at window boundaries only, and are piecewise constant in the design; inside a window
 all shapes are fixed and the state is continuous.
 """

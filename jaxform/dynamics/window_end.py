@@ -33,7 +33,7 @@ _STEADY = 0.05  # of the bound on the step: where it changes by more in a window
 _QUIET = 1e-2  # of the largest work: where a window misses more energy, they become shorter
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then retried at most so often
 _GAIN_TOLERANCE = 0.005  # the same of energy that is gained where damping does not take it away
-_RELEASE_TOLERANCE = 0.002  # the same of the first window of a damped sheet that the clamp let go
+_RELEASE_TOLERANCE = 0.002  # the same for the first window of a damped sheet after the clamp opens
 
 
 def end_window(
@@ -78,14 +78,15 @@ def end_window(
     unsure &= state.control.retries < _RETRIES_FOR_ENERGY
     # An unstable window, and one in which a node may have missed the mold, is retried with half the step: the sheet
     # may have stiffened within the window.
-    if searched is not None:
-        status = jnp.where(searched[2], Status.CONTACT_MISSED, status)
+    pairs, overflow, missed = (None, None, None) if searched is None else searched
+    if missed is not None:
+        status = jnp.where(missed, Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
     status = state.status | jnp.where(state.control.retries >= _MOST_RETRIES, status, 0)
-    if searched is not None:
+    if overflow is not None:
         # Pairs are missing: the state is unchanged, for a run with a larger capacity.
-        bad |= searched[1]
-        status |= jnp.where(searched[1], Status.CONTACT_OVERFLOW, 0)
+        bad |= overflow
+        status |= jnp.where(overflow, Status.CONTACT_OVERFLOW, 0)
     box = scene.tables.box
     if box is None:
         status |= jnp.where((largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
@@ -105,7 +106,7 @@ def end_window(
         control=dataclasses.replace(
             kept.control,
             window_steps=_next_window_steps(
-                state, bad, jump <= _QUIET * new.account.peak_work, searched, scene, data, new.time
+                state, bad, jump <= _QUIET * new.account.peak_work, pairs, scene, data, new.time
             ),
             retries=retries,
             last_length=data.length,
@@ -147,7 +148,7 @@ def _next_window_steps(
     state: State,
     rejected: jax.Array,
     quiet: jax.Array,
-    searched: ContactSearch | None,
+    pairs: jax.Array | None,
     scene: Scene,
     data: WindowData,
     time: jax.Array,
@@ -161,10 +162,10 @@ def _next_window_steps(
     if scene.tables.step_capacity <= SHORT_WINDOW:
         return state.control.window_steps
     longer = quiet & (jnp.abs(data.bound - state.control.bound) <= _STEADY * state.control.bound)
-    if searched is not None:
+    if pairs is not None:
         counts = scene.tables.counts
         nodes = scene.tables.mobility.shape[1] if counts is None else counts.nodes
-        longer &= searched[0] <= _FEW_PAIRS * nodes
+        longer &= pairs <= _FEW_PAIRS * nodes
     longest = jnp.int32(scene.tables.longest_window)
     twice, half = (
         jnp.minimum(2 * state.control.window_steps, longest),

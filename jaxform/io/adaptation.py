@@ -25,7 +25,7 @@ from jaxform.runs.host import run
 from jaxform.sheet.state import Status
 
 Report = Callable[[dict[str, Any]], object]
-"""Is told of each run: see `_facts`."""
+"""Called with the facts of each run, as of `_facts`."""
 
 Array = NDArray[np.float64]
 

@@ -127,7 +127,7 @@ def over_blocks(
     real = next((kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)), jnp.float32)
     zeros = [jnp.zeros(BLOCK, real) for _ in range(sums + most)]
     flat, totals = jax.lax.fori_loop(0, block_count, compute_block, (flat, zeros))
-    # Else the whole loop would be computed again by whoever uses it twice.
+    # Else the whole loop would be computed again for each use.
     flat, totals = jax.lax.optimization_barrier((flat, totals))
     shaped = [array.reshape(old.shape) for array, old in zip(flat, arrays, strict=True)]
     return shaped, [jnp.sum(each) for each in totals[:sums]] + [jnp.max(each) for each in totals[sums:]]

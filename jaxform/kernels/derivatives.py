@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-# Private, for want of a public way: such rules alone are told whether `jax.linearize` asks or `jax.vjp`.
+# Private, since no public rule distinguishes `jax.linearize` from `jax.vjp`.
 from jax._src.interpreters.ad import fallback_linearize_rule, primitive_linearizations
 from jax.ad_checkpoint import checkpoint_name
 from jax.core import ShapedArray

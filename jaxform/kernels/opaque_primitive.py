@@ -1,4 +1,4 @@
-"""Functions that are traced by themselves: one operation for whatever is around, `shard_map` and derivatives included.
+"""Functions that are one opaque operation to the transformations around them, such as `shard_map` and derivatives.
 
 Under `shard_map` JAX types every value by the mesh axes along which it differs, and a loop whose carry starts with a
 constant then has no valid type. A simulation speaks with no other device, so its inside needs no such types: inputs are

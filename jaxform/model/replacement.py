@@ -228,7 +228,7 @@ def _is_declared(scene: Scene, path: str) -> bool:
 
 
 def number_at(scene: Scene, path: str) -> Any:
-    """The number of a scene at a path, or whatever else is there; None where nothing is."""
+    """The number of a scene at a path, or another value there; None if there is none."""
     part, _, name = path.rpartition(".")
     return getattr(_owner(scene, part), name, None)
 

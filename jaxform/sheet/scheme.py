@@ -334,7 +334,7 @@ def _synchronize_slip(
     """
     own, half = packed.nodes, 0.5 * packed.control.step_length
     sliding = sliding_nodes(own.stuck, own.wall)
-    slide_input = SlideInput.of(own, free, nodal, (active.mass, active.compliance), sliding)
+    slide_input = SlideInput.from_nodes(own, free, nodal, (active.mass, active.compliance), sliding)
     frames = scene.frames(packed.time - packed.control.step_length, packed.time)
     steps = half, jnp.zeros_like(half)
     slid = slide_nodes(slide_input, steps, scene.surfaces, frames, scene.solver.damping, differentiable=True)

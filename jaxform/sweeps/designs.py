@@ -160,7 +160,7 @@ _NO_TOOL = "is not a tool of the scene"
 _NO_GAS = "is not a gas of the scene"
 _NO_ELEMENT = "is not there: the scene's list has"
 _MISNAMED = _NO_LIST, _NO_TABLE, _NO_TOOL, _NO_GAS, _NO_ELEMENT
-"""Beginnings of the problems of paths that lead nowhere in the scene, whatever the value."""
+"""Beginnings of the messages on paths that do not exist in the scene, for any value."""
 
 
 def set_value(data: dict[str, Any], path: str, value: Any) -> None:

@@ -194,7 +194,7 @@ class DaskWorkers(Executor):
         """The future of a call on a worker."""
         result: Future[Any] = Future()
         result.set_running_or_notify_cancel()
-        # Two designs of one scene are two tasks, whatever Dask thinks of their arguments.
+        # Two designs of one scene are two tasks, even if Dask finds their arguments equal.
         remote = self._client.submit(fn, *args, **kwargs, pure=False)
 
         def gather(done: Any) -> None:

@@ -51,7 +51,7 @@ class ContactLaw:
 
 @pytree
 class Stick(ContactLaw):
-    """Nodes stick where they touch, and never let go."""
+    """Nodes stick where they touch, for the rest of the run."""
 
     kind = "stick"
     sticks = True

@@ -88,7 +88,7 @@ def pairs_in_reach(corners: Array, frame: CellFrame) -> _Pairs:
         cell, triangle, distance = _join_pairs([_pairs_of(local, *lines, far) for lines in _lines(local, far)])
         return cell, triangle + np.int32(part[0]), distance * np.float32(frame.width)
 
-    # NumPy lets go of the interpreter's lock in long operations.
+    # NumPy releases the interpreter's lock in long operations.
     with ThreadPoolExecutor(usable_cores()) as workers:
         return _join_pairs(list(workers.map(pairs, [part for part in parts if len(part)])))
 

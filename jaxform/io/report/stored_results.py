@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Facts of summary.json that the report shows, checked: the file may be of another version, or by somebody else.
+# Facts of summary.json that the report shows, checked: the file may be of another version or another program.
 
 Number = float | None
 """Null where it was not finite."""
@@ -227,7 +227,7 @@ def _tables(scene: str) -> dict[str, Any]:
 
 
 def _release_time(parison: Any) -> float | None:
-    """Time [s] at which a parison of a scene file is let go; None where it is not, or none that can be read."""
+    """Time [s] at which the clamp of a scene file's parison opens; None if it does not, or is not readable."""
     until = parison.get("clamp_until") if isinstance(parison, dict) else None
     return float(until) if isinstance(until, int | float) else None
 
