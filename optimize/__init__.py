@@ -1,4 +1,4 @@
-"""Inverse design on top of jaxform: which sheet and which pressure make the wall that the part needs?"""
+"""Inverse design on top of jaxform: the sheet and the pressure for the required wall of a part."""
 
 from optimize import fitting
 from optimize.designs import COLUMNS, Study

@@ -1,9 +1,9 @@
 """First-order searches within bounds: L-BFGS with a line search that sees every simulation, and optax's Adam.
 
-The loop is the host's, so that every simulation is a row of the history and can be shown, kept and stopped. After a
+The loop is on the host, so that every simulation is a row of the history, is reported, and can stop the search. After a
 failed simulation the line search shortens its step, and Adam goes back to the best design and halves its rate.
 
-SciPy's L-BFGS-B was tried in its place, with the same bounds and numbers: it comes down as fast (on 16 quadratic and
+SciPy's L-BFGS-B was tried in its place, with the same bounds and numbers: it converges as fast (on 16 quadratic and
 convex functions of 25 numbers, most with optima on bounds, to a ten-thousandth in 17 evaluations, this one in 16), but
 ended with an abnormal line search where contact makes the objective rough, and it knows neither failed simulations nor
 a mesh whose decisions are renewed on the way. Optax's L-BFGS, whose curvature cannot be had for the numbers that are
@@ -32,7 +32,8 @@ _FIRST_STEP, _LEAST_FIRST_STEP = 1.0, 0.2  # of the number with the largest slop
 def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
     """L-BFGS' direction with a weak Wolfe line search; the last point and why it ended.
 
-    Numbers at a bound that the slope presses on are held; the line search is along the way that the bounds bend.
+    Numbers at a bound are fixed if the gradient points out of it; the line search follows the path projected onto the
+    bounds.
     """
     first, values, again, stuck = point, [point.value], True, False
     while True:
@@ -85,7 +86,7 @@ def _direction(search: Search, point: Point) -> np.ndarray:
 
 
 def _first_size(search: Search, point: Point) -> float:
-    """First step of the number with the largest slope, where nothing is known of the curvature.
+    """First step of the number with the largest slope, without knowledge of the curvature.
 
     A sum of squares is not below 0: a parabola with its value and slope reaches 0 at this distance.
     """
@@ -102,7 +103,7 @@ _IntervalEnd = tuple[float, float, float]
 def _line_search(search: Search, point: Point, direction: np.ndarray) -> tuple[Point | None, bool]:
     """A point that meets the weak Wolfe conditions, else the best one that is better, else None; and whether it does.
 
-    The way is bent where it meets bounds.
+    The path is projected onto the bounds.
     """
     slope = float(direction @ point.slope)
     short, long, length = (0.0, point.value, slope), (np.inf, np.inf, np.nan), 1.0

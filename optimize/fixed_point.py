@@ -1,7 +1,7 @@
-"""The rule of thumb: where the wall is too thin, thicken the sheet by the root of the missing ratio.
+"""Fixed-point updates: where the wall is too thin, the sheet is thickened by the root of the missing ratio.
 
-It needs no gradient, and only what is wanted of the wall; it is where a search may start, and what searches have to
-beat. The root, since with the full factor the sheet oscillates.
+They need no gradient, only the required wall; a search may start from their result, and is compared with it. The full
+ratio instead of its root would make the sheet oscillate.
 """
 
 from __future__ import annotations

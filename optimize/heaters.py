@@ -30,7 +30,7 @@ class HeaterZones:
     Args:
         scene: The scene; the settings that are closest to its own values are the start.
         grid: Heaters along x and along y.
-        distance: Distance from the heaters to the sheet [m]: the farther, the more they blur; 0 for zones with sharp
+        distance: Distance from the heaters to the sheet [m]: the larger, the smoother the field; 0 for zones with sharp
             boundaries.
         bounds: Least and largest setting, in the unit of the number.
         of: The designed field: "parison.temperature", or a parameter of the material, such as "material.c".

@@ -2,7 +2,7 @@
 
 Contact makes an objective rough, with many local optima close together: a shift of a few per cent of the bounds is
 enough to leave one. The next shift is from the best design of all, so that hops never make a search worse.
-`scipy.optimize.basinhopping` shifts likewise, but cannot go on after a kill without simulations that are known, and
+`scipy.optimize.basinhopping` shifts likewise, but cannot resume a killed search without repeating its simulations, and
 counts a failed simulation as a value.
 """
 
@@ -33,7 +33,7 @@ def hop(
         evaluate: Evaluates the first design of a hop as the method needs it.
 
     Returns:
-        Why the last search ended; with how many hops were done.
+        The reason for the end of the last search, and the number of hops.
     """
     done = 0
     while done < study.hops and ending.by in _LOCAL and search.best is not None:

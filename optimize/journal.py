@@ -1,9 +1,9 @@
-"""Journal of a search's questions and answers, kept on disk as it goes, so that a killed search can be resumed.
+"""Journal of the requests of a search and their results, on disk, so that a killed search can be resumed.
 
-A search is deterministic: begun again, it asks the same questions. Those that are in the journal are answered from
-there, without a simulation; nothing else of the search has to be kept. Each line ends with a checksum of itself: a line
-that was being written when the process died is left out, and one that was damaged in another way is refused. Lines are
-read one at a time, when they are asked for: a journal may be larger than the memory.
+A search is deterministic: when it is repeated, it makes the same requests. Those in the journal are answered from it,
+without a simulation; no other state of the search is stored. Each line ends with a checksum: an incomplete last line is
+left out, and a line that is damaged otherwise is refused. Lines are read one at a time, when they are needed, so that a
+journal may be larger than the memory.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Journal:
         return entry
 
     def _part(self) -> None:
-        """Another version of the program searches otherwise: from here on nothing is known. The whole is kept aside."""
+        """Ends the use of the file, since another version of the program makes other requests; saves it aside."""
         assert self._path is not None
         try:
             shutil.copyfile(self._path, self._path.with_suffix(".old"))

@@ -45,7 +45,7 @@ def least_squares(search: Search, study: Study, point: Point) -> tuple[Point, En
 
 
 def _trials(search: Search, point: Point, matrix: np.ndarray, damping: float) -> tuple[Point | None, float]:
-    """The first damped step that makes it better, and the damping for the start of the next one."""
+    """The first damped step that improves the value, and the initial damping of the next one."""
     for _ in range(_TRIALS):
         step = _step(matrix, point.gradient, damping, -search.reach - point.free, search.reach - point.free)
         trial, _ = search.evaluate_forward(search.inside(point.free + step))

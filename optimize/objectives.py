@@ -173,13 +173,12 @@ class Uniform(Objective):
 
 
 class LeastMass(Objective):
-    """Use as little material as possible for a wall that is nowhere thinner than a minimum.
+    """The least material for a wall that is nowhere thinner than a minimum.
 
     The value is the mass, of the part where the scene has one, or with `flash` of the whole sheet, over that of the
-    initial whole sheet. Every element of the part keeps the minimum by itself, with a multiplier of its own: nothing is
-    blurred into an average. The multipliers' weighted sum is what the mass gains, relative to the first one, per
-    relative change of the minimum. Wall and mass are nearly in ratio, so it comes out near the value: about 1
-    initially.
+    initial whole sheet. The minimum is a constraint for each element of the part, with its own multiplier; no mean is
+    taken. The weighted sum of the multipliers is the change of the mass, relative to the initial one, per relative
+    change of the minimum. Wall and mass are nearly proportional: it is near the value, about 1 initially.
 
     Args:
         scene: The scene that is designed.
@@ -216,10 +215,10 @@ class LeastMass(Objective):
 
 
 class FormingTime(Objective):
-    """Form quickly: the time at which the sheet touches the mold, over the scene's end time.
+    """The time at which the sheet touches the mold, over the scene's end time.
 
-    The times of the nodes are averaged by their volume with a high power, so that the last ones count; what never
-    touches counts with the end time.
+    The times of the nodes are averaged by volume with a high power, so that the last ones dominate; a node without
+    contact counts with the end time.
 
     Args:
         scene: The scene that is designed.
@@ -245,7 +244,7 @@ class FormingTime(Objective):
 
 
 class KineticEnergy(Objective):
-    """Form gently: the kinetic energy with which the sheet hits the mold, and still has at the end, over the work."""
+    """The kinetic energy of the sheet at contact with the mold, and at the end, over the work."""
 
     squares = True
 

@@ -1,4 +1,4 @@
-"""Searches with limits: rounds, between which multipliers are brought up to date."""
+"""Searches with limits: rounds, between which multipliers are updated."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NO_PROGRESS = 0.9  # of the violation before: a limit that can be kept is neare
 
 
 def rounds(search: Search, study: Study, point: Point, method: Method) -> Ending:
-    """Searches by a method until limits are kept and nothing is gained; why it ended."""
+    """Searches by a method until limits are satisfied and the objective no longer improves; the reason of the end."""
     before, idle, hopeless = np.inf, 0, 0
     ending = NO_STEP
     for number in range(1, study.rounds + 1):
@@ -51,7 +51,7 @@ def rounds(search: Search, study: Study, point: Point, method: Method) -> Ending
 
 
 def _update_multipliers(search: Search, point: Point, before: float) -> None:
-    """Brings the multipliers up to date after a round of searching, and the penalty where it did too little."""
+    """Updates the multipliers after a round of the search, and the penalty if the violation fell too little."""
     assert search.limits is not None
     multipliers, penalty = search.limits
     multipliers = jnp.maximum(multipliers + penalty * jnp.asarray(point.excess), 0.0)
@@ -61,7 +61,7 @@ def _update_multipliers(search: Search, point: Point, before: float) -> None:
 
 
 def fall_back(search: Search) -> None:
-    """Makes the best design keep its limits, nearly, with the simulation that was put by for it."""
+    """Scales the best design so that it nearly satisfies its limits, with the simulation reserved for that."""
     if search.best is not None and search.limits is not None and search.best.violation > KEPT:
         search.last = True
         _thicken(search, search.best)
@@ -81,7 +81,7 @@ def _gain(before: float, after: float) -> float:
 
 
 def _thicken(search: Search, point: Point) -> None:
-    """Tries the design with so much thicker a sheet that the limit ought to be kept: a good design to fall back on.
+    """Tries the design with a sheet thick enough to satisfy the limit: a feasible design to fall back on.
 
     The wall is proportional to the sheet, nearly. The search itself goes on from where it was.
     """

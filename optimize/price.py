@@ -1,4 +1,4 @@
-"""Cost of a search for what it gained."""
+"""Cost of a search in relation to its gain."""
 
 from __future__ import annotations
 

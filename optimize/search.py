@@ -2,7 +2,7 @@
 
 A simulation that fails (its status is not 0, or its objective not finite) counts as infinitely bad. Limits are kept by
 an augmented Lagrangian (Hestenes, Powell, Rockafellar): each evaluation adds sum w [max(0, lambda + rho g)^2 -
-lambda^2] / (2 rho), and the multipliers lambda are brought up to date between searches.
+lambda^2] / (2 rho), and the multipliers lambda are updated between searches.
 """
 
 from __future__ import annotations
@@ -182,14 +182,14 @@ class Search:
         return self.programs[name]
 
     def compute(self, free: np.ndarray) -> tuple[tuple[jax.Array, dict[str, jax.Array]], jax.Array]:
-        """Value, report and gradient of a design by one simulation and its reverse."""
+        """Value, report and gradient of a design by one simulation and its reverse derivative."""
         arguments = jnp.asarray(free), self.study.scene, self.schedule, self.limits
         return self._program("gradient", jax.value_and_grad(self._value, has_aux=True), *arguments)(*arguments)
 
     # --- What searches ask ----------------------------------------------------------------------------------------
 
     def ask(self, kind: str, free: np.ndarray, work: Callable[[], Answer]) -> Answer:
-        """An answer of the journal, or of some work whose cost is counted.
+        """A result from the journal, or of some work whose cost is counted.
 
         Raises:
             SpentError: If the study's limit on simulations or minutes does not allow the work.

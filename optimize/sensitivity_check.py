@@ -1,6 +1,6 @@
 """Variables without effect: found in the first gradient, and reported before the search, with the reason.
 
-The wall of a slow process depends on neither pressure nor stiffness; a search over them alone goes nowhere.
+The wall of a slow process depends on neither pressure nor stiffness; a search over them alone is useless.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def compare_end(search: Search, warn: Callable[[str], object]) -> None:
 
 
 def _compare(search: Search, place: str, point: Point, warn: Callable[[str], object]) -> None:
-    """Keeps slope and secant at a point under the name of its place, and warns where they part."""
+    """Stores slope and secant at a point under the name of its place, and warns if they differ."""
     found = slope_and_secant(point, search.reach, search.secant_values)
     if found is None:
         return
@@ -68,7 +68,7 @@ def _compare(search: Search, place: str, point: Point, warn: Callable[[str], obj
 
 
 def _advise_landing(scene: jaxform.Scene) -> str:
-    """Words on nodes that land smoothly in shorter steps, where a scene may have that; none elsewhere."""
+    """Advice to use smooth landing and shorter steps, for scenes that allow it; empty for others."""
     solver = scene.solver
     if not scene.surfaces or scene.moves or scene.slides or solver.edge_contact:
         return ""

@@ -279,7 +279,7 @@ def _run_search(
     look: Callable[[Point], object],
     warn: Callable[[str], object],
 ) -> Ending:
-    """Warm starts, a look at the first gradient, its checks and the search; why it ended."""
+    """Warm start, checks of the first gradient, and the search; the reason of its end."""
     free = search.start
     warm = warm_start(search, study, free)
     if warm is not None and search.best is not None:

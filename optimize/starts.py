@@ -159,7 +159,7 @@ def _failure(rows: list[Row]) -> InputError:
 
 
 def _tell(design: Design, calls: Row, executor: Executor | None) -> None:
-    """Tells of a search of another process what it could not tell itself."""
+    """Reports the search of another process to this process's callbacks."""
     if executor is not None:
         for sentence in design.warnings:
             calls["on_warning"](sentence)

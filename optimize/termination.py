@@ -21,7 +21,7 @@ class Ending(NamedTuple):
     Attributes:
         by: The reason in a word: the key of the study, or one of "no-step", "no-progress", "updates",
             "target", "failure", "caller", "interrupted".
-        words: The reason for people to read.
+        words: The reason in a sentence.
     """
 
     by: str

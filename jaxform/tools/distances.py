@@ -166,7 +166,7 @@ class Distances:
         above: float = 0.0,
         beyond: Array | float = 0.0,
     ) -> None:
-        """Has those of points (n, 3) [m] measured whose values may be the largest, by bounds of their distances.
+        """Measures those of points (n, 3) [m] whose values may be the largest, by bounds of their distances.
 
         Each round measures a few. What is nearest to a measured point bounds the distances of the others around it,
         which then mostly need not be measured.

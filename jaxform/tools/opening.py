@@ -1,4 +1,4 @@
-"""Openings of molds: the side from which a mold is hollow, or what stands out of it. On the host."""
+"""Openings of molds: the side of the cavity of a mold, or of its protruding body. On the host."""
 
 from __future__ import annotations
 
@@ -79,16 +79,16 @@ class Opening:
 def find_opening(
     vertices: Array, triangles: Integers, *, male: bool | None = None, direction: Array | None = None
 ) -> Opening:
-    """The opening of a mold, or what stands out of its base.
+    """The opening of a mold, or the body that protrudes from its base.
 
     Args:
         vertices: Positions (n, 3) [m], welded.
         triangles: Vertex numbers (m, 3).
-        male: True if what stands out is searched for; by default what holds more.
+        male: True to find the protruding body; by default the larger of cavity and body.
         direction: Unit vector (3,) to the side from which the sheet comes; by default the best of many.
 
     Raises:
-        InputError: The mold is neither hollow from any side nor does anything stand out of it.
+        InputError: The mold has neither a cavity nor a protruding body on any side.
     """
     size = meshes.size(vertices)
     surface = make_viewed_surface(vertices, triangles)
@@ -115,7 +115,7 @@ def is_rimmed(vertices: Array, triangles: Integers) -> bool:
 
 
 def is_male(hollow: SideView, raised: SideView) -> bool:
-    """True when much more stands out of the one side than is hollow from the other."""
+    """True if the protruding volume of one side is much larger than the cavity of any."""
     return raised.raised > _FAVOUR * hollow.hollow
 
 

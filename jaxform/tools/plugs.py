@@ -112,7 +112,7 @@ def _closed_rings(rings: int, count: int) -> NDArray[np.int32]:
 
 
 def place_plug(mesh: Mesh, found: Opening, clearance: float) -> tuple[float, Array]:
-    """The way of a user's plug before the sheet: where it is, or in the middle of the cavity where it is beside it.
+    """The stroke of a user's plug: from its own place, or from the middle of the cavity if it is beside the cavity.
 
     It goes to `DEPTH` of the cavity's depth, or less far, where it would meet the mold.
 

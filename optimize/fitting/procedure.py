@@ -78,7 +78,7 @@ def fit(
 
 
 def _most_telling(counts: Sequence[int], solved: Callable[[int], Solution]) -> tuple[Solution, int]:
-    """The last of solutions with increasing numbers of parameters that improves on the one before, and its count."""
+    """The last solution, by increasing number of parameters, that improves on the one before; and its count."""
     best = solved(counts[0]), counts[0]
     for count in counts[1:]:
         try:

@@ -54,7 +54,7 @@ class Solution:
     Attributes:
         problem: The fitted problem.
         free: The vector (n,).
-        unstable: The state and stretch from which on more strain needs less stress; None for none.
+        unstable: The state and the stretch beyond which the stress decreases with strain; None if stable.
         held_stable: True if a better but unstable model was rejected.
     """
 
@@ -127,7 +127,7 @@ def _slopes_and_least(
 
 
 def information(solution: Solution) -> float:
-    """Schwarz's criterion: of fits with more or fewer numbers the one where it is least says most about the tests."""
+    """Schwarz's criterion: of fits with different numbers of parameters, the one with the least value is chosen."""
     rows = int(solution.problem.used.sum())
     square = float(np.mean(np.square(solution.problem.differences(solution.free)[solution.problem.used])))
     return rows * float(np.log(square + _EXACT**2)) + len(solution.free) * float(np.log(rows))
@@ -143,7 +143,7 @@ def solve(tables: list[Table], numbers: Numbers, weights: str, stress: float) ->
         stress: The largest stress of the tests [Pa].
 
     Raises:
-        InputError: There are too few rows, or no start leads anywhere.
+        InputError: There are too few rows, or the search fails from every start.
     """
     problem = Problem(tables, numbers, weights)
     _check_rows(problem)

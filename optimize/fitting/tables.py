@@ -1,4 +1,4 @@
-"""Tables of test data: CSV files with a header, in SI units, and what their columns mean."""
+"""Tables of test data: CSV files with a header, in SI units, and the meaning of their columns."""
 
 from __future__ import annotations
 
