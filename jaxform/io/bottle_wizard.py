@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,8 +63,8 @@ def draft_bottle(
     Raises:
         InputError: A file cannot be read, or is no bottle with a neck and without a handle.
     """
-    surface, units, extent = read_bottle(paths, scale)
-    outside, body = _find_body(surface)
+    surfaces, units, extent = read_bottle(paths, scale)
+    (outside, body), told = find_in(surfaces, _find_body)
     neck = _neck_radius(body) if outside is None else revolution.mean_revolution(outside.mesh)[1]
     if neck > _NARROW * body.radius:
         problem = (
@@ -84,7 +85,7 @@ def draft_bottle(
     shoulder = _shoulder(body, neck)
     along = (body.length - shoulder) / (float(preform[:, 1].max()) - shoulder)
     scene = _scene(paths, body, preform, thick, thick / gain, (around, along), outside)
-    lines = [describe_box(units, extent), _describe_axis(units, body, outside)]
+    lines = [describe_box(units, extent), *told, _describe_axis(units, body, outside)]
     lines += _describe(body, preform, thick, thick / gain, (around, along))
     surfaces = {} if outside is None else {_MOLD: outside.mesh}
     return ({"scene.toml": scene, "study.toml": _STUDY}, surfaces), lines
@@ -103,14 +104,40 @@ def _find_body(surface: Mesh) -> tuple[BottleBody | None, Revolution]:
     return outside, revolution.mean_revolution(outside.mesh)[0]
 
 
-def read_bottle(paths: Sequence[Path], scale: float | None) -> tuple[Mesh, Units, Array]:
-    """The welded surface [m] in some files, their units, and the sides of its bounding box in these (3,)."""
+def read_bottle(paths: Sequence[Path], scale: float | None) -> tuple[list[Mesh], Units, Array]:
+    """The welded surface [m] of some files and those of each, their units, and the sides of the whole in these (3,)."""
     parts = [meshes.read_mesh(path) for path in paths]
     raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
     extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
     units = guess_units(extent, scale)
-    whole = meshes.drop_fins(meshes.weld(raw, footprint.WELD * meshes.size(raw.positions)))
-    return footprint.weld_mold(whole.positions * units[0], whole.triangles), units, extent
+    surfaces = []
+    for mesh in (raw, *parts):
+        welded = meshes.drop_fins(meshes.weld(mesh, footprint.WELD * meshes.size(raw.positions)))
+        surfaces.append(footprint.weld_mold(welded.positions * units[0], welded.triangles))
+    return surfaces, units, extent
+
+
+def find_in[Found](surfaces: Sequence[Mesh], find: Callable[[Mesh], Found]) -> tuple[Found, list[str]]:
+    """A bottle that a function finds: in the surface of a bottle, or in the cavity of mold blocks.
+
+    Args:
+        surfaces: Surfaces of `read_bottle` [m].
+        find: The function.
+
+    Returns:
+        The bottle, and a line of text where it is the cavity of blocks.
+
+    Raises:
+        InputError: The function finds none in either.
+    """
+    whole, *parts = surfaces
+    try:
+        return find(whole), []
+    except InputError:
+        for cavity in bottles.block_cavities(parts):
+            with contextlib.suppress(InputError):
+                return find(cavity), ["taken as blocks of a mold, of which the cavity is the bottle"]
+        raise
 
 
 def _neck_radius(body: Revolution) -> float:

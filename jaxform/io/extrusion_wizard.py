@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
-from jaxform.io.bottle_wizard import Files, describe_box, fill_template, read_bottle
+from jaxform.io.bottle_wizard import Files, describe_box, fill_template, find_in, read_bottle
 from jaxform.io.scene_choices import choose_thickness, round_digits
 from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import topology
@@ -59,8 +59,8 @@ def draft_extrusion(
     Warns:
         InputWarning: The flattened parison does not reach a handle.
     """
-    surface, units, extent = read_bottle(paths, scale)
-    half = bottles.find_bottle(surface)
+    surfaces, units, extent = read_bottle(paths, scale)
+    half, told = find_in(surfaces, bottles.find_bottle)
     holes = _find_holes(half)
     radius = _choose_radius(half, holes)
     gain = half.area / (math.pi * radius * half.length)
@@ -68,7 +68,7 @@ def draft_extrusion(
     thick = choose_thickness(thickness, min(usual, _SHARE * radius), radius, "the radius of the parison")
     _warn_of_handles(holes, radius)
     texts = {"scene.toml": _scene(paths, half, radius, thick, bool(holes)), "study.toml": _study(thick)}
-    lines = [describe_box(units, extent), *_describe(half, radius, thick, thick / gain, len(holes))]
+    lines = [describe_box(units, extent), *told, *_describe(half, radius, thick, thick / gain, len(holes))]
     return (texts, {HALF: half.mesh}), lines
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
+from scipy.spatial import ConvexHull, QhullError
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import meshes, topology
+from jaxform.mesh import meshes, topology, volumes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools.bottle_axis import FLAT, NARROW, TOP, find_axis, hull_sizes, neck_error, plane_axes, sections_across
 from jaxform.tools.distances import Distances
@@ -22,6 +24,8 @@ _SYMMETRIC = 0.002  # of the length, for a bottle of which a half or a quarter i
 _MIRRORED = 0.01  # of the length, root mean square, by which a mirrored bottle deviates from itself at most
 _TURNS = 24  # directions across the axis that are tried as normals of the parting plane
 _HINT_ERROR, _BASE = 0.35, 0.97  # of the neck of what looks like a bottle; width of its base over its own, if short
+_FACE, _OUTER = 0.01, 0.5  # of the area of a block's convex hull: its smallest face, and what is in its faces at least
+_SOLID = 0.35  # of the volume of that hull, that a block is filled at least, unlike a bottle with a wall
 _TIP, _NARROW_NECK = 0.1, 0.65  # of the largest radius, between which the radius of a neck is
 
 
@@ -109,6 +113,67 @@ def find_body(mesh: Mesh) -> BottleBody:
     rotation = np.stack([x, np.cross(-axis, x), -axis])
     places = (opened.positions - origin) @ rotation.T
     return BottleBody(Mesh(places, opened.triangles, {}), symmetry, rotation, origin)
+
+
+def block_cavities(parts: Sequence[Mesh]) -> list[Mesh]:
+    """Surfaces that may be the cavity of mold halves cut into blocks, the likeliest first; none of other solids.
+
+    They are what is left of the blocks without the faces of their convex hulls: of both halves where these are closed,
+    else of the one with the larger cavity. Several pockets in a block are no bottle.
+
+    Args:
+        parts: The surfaces of the files [m], each of one block or of several apart, welded.
+    """
+    found = []
+    for part in parts:
+        label = topology.components(part.triangles, len(part.positions))[part.triangles[:, 0]]
+        for number in np.unique(label):
+            triangles = _block_cavity(part, part.triangles[label == number])
+            found += (
+                [meshes.drop_unused_nodes(Mesh(part.positions, triangles.astype(np.int32), {}))]
+                if len(triangles)
+                else []
+            )
+    found.sort(key=lambda cavity: len(cavity.triangles), reverse=True)
+    whole = [meshes.merge(found)] if len(found) > 1 else []
+    welded = [meshes.weld(each, FLAT * meshes.size(each.positions)) for each in [*whole, *found[:1]]]
+    return [each for each in welded if not topology.components(each.triangles, len(each.positions)).any()]
+
+
+def _block_cavity(mesh: Mesh, triangles: NDArray[np.integer]) -> NDArray[np.integer]:
+    """The triangles (n, 3) of a block's cavity; none where the solid is no block, or its hollows are no cavity."""
+    corners = mesh.positions[triangles]
+    try:
+        hull = ConvexHull(mesh.positions[np.unique(triangles)])
+    except QhullError:
+        return triangles[:0]
+    planes, group = np.unique(
+        np.round(hull.equations / [1, 1, 1, np.cbrt(hull.volume)], 6), axis=0, return_inverse=True
+    )
+    sides = hull.points[hull.simplices]
+    area = 0.5 * np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1)
+    planes = planes[np.bincount(np.ravel(group), area) > _FACE * hull.area] * [1, 1, 1, np.cbrt(hull.volume)]
+    off = np.abs(corners @ planes[:, :3].T + planes[:, 3]).max(1)
+    inner = ~(off <= 1e-5 * np.cbrt(hull.volume)).any(1)
+    outer_area = float(volumes.areas(mesh.positions, triangles[~inner]).sum())
+    solid = abs(volumes.enclosed_volume(mesh.positions, triangles))
+    if not inner.any() or outer_area < _OUTER * hull.area or solid < _SOLID * hull.volume:
+        return triangles[:0]
+    middle = corners[inner].reshape(-1, 3)
+    middle = 0.5 * (middle.min(0) + middle.max(0))
+    return triangles[inner] if abs(_winding_number(corners, middle)) < 0.5 else triangles[:0]
+
+
+def _winding_number(corners: Array, place: Array) -> float:
+    """Winding number of a surface of triangles (n, 3, 3) around a place (3,): 1 in a solid, 0 outside.
+
+    Source: A. van Oosterom, J. Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125-126.
+    """
+    a, b, c = np.moveaxis(corners - place, 1, 0)
+    one, two, three = (np.linalg.norm(each, axis=1) for each in (a, b, c))
+    dots = [np.einsum("ij,ij->i", *pair) for pair in ((a, b), (b, c), (c, a))]
+    below = one * two * three + dots[0] * three + dots[1] * one + dots[2] * two
+    return float(np.arctan2(np.einsum("ij,ij->i", a, np.cross(b, c)), below).sum() / (2 * np.pi))
 
 
 def _symmetry(outside: Outside) -> tuple[Array, str]:

@@ -13,10 +13,10 @@ import shapely
 
 import jaxform
 from jaxform.cli.command import main
-from jaxform.mesh import meshes, topology
+from jaxform.mesh import grids, meshes, topology
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import molds
-from jaxform.tools.bottles import clip, find_bottle, find_outside
+from jaxform.tools import molds, parting
+from jaxform.tools.bottles import block_cavities, clip, find_bottle, find_outside
 
 ROUND = [[0, 6], [20, 5], [32, 0], [42, 3], [45, 10], [45, 190], [30, 250], [13.5, 285], [13.5, 300], [0, 300]]
 HOLLOW = [*ROUND[:-1], [12, 300], [12, 284], [28.5, 249], [43.5, 190], [43.5, 11], [32, 2], [20, 6.5], [0, 7.5]]
@@ -249,3 +249,82 @@ def test_a_handle_that_no_parison_within_the_bottle_reaches_is_a_warning(
     places = np.stack([np.maximum(x, -12.0 - 0.01 * np.abs(x)), y, z], axis=1)
     assert _new(tmp_path, Mesh(places, mesh.triangles, {})) == 0
     assert "the handle may stay empty" in capsys.readouterr().err
+
+
+def _face(corners: Any, polygon: Any) -> list[Any]:
+    """Triangles (3, 3) of a polygon in a plane, of which `corners` gives the places."""
+    pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    return [corners(np.array(piece.exterior.coords)[:3]) for piece in pieces]
+
+
+def _outwards(corners: Any, middle: Any) -> Any:
+    """Triangles (n, 3, 3) whose normals point away from a place (3,)."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inwards = np.einsum("ij,ij->i", normal, corners.mean(1) - middle) < 0
+    return np.where(inwards[:, None, None], corners[:, ::-1], corners)
+
+
+def _block(bottle: Mesh, wall: float = 15.0) -> Mesh:
+    """A solid block, x >= 0, with the half of a bottle as its cavity, which is open at the neck."""
+    half = find_bottle(bottle).mesh
+    shape, _ = parting.add_land(molds.MoldShape(half.positions, half.triangles), wall)
+    far, top = half.positions[:, 0].max() + wall, half.positions[:, 2].max()
+    neck = shapely.MultiPoint(half.positions[np.isclose(half.positions[:, 2], top), :2]).convex_hull
+    low, high = shape.vertices.min(0), shape.vertices.max(0)
+    side = shapely.box(0.0, low[1], far, high[1])
+    faces = _face(lambda at: np.column_stack([at, np.full(3, top)]), side.difference(neck))
+    faces += _face(lambda at: np.column_stack([at, np.full(3, low[2])]), side)
+    faces += _face(lambda at: np.column_stack([np.full(3, far), at]), shapely.box(low[1], low[2], high[1], top))
+    for level in (low[1], high[1]):
+        wide = shapely.box(0.0, low[2], far, top)
+        faces += _face(lambda at, level=level: np.insert(at, 1, level, axis=1), wide)
+    outer = np.concatenate([np.array(faces), shape.vertices[shape.triangles[len(half.triangles) :]]])
+    outer = _outwards(outer, 0.5 * np.array([far, low[1] + high[1], low[2] + top]))
+    # The cavity's normals point into it, away from the material.
+    corners = np.concatenate([outer, half.positions[half.triangles][:, ::-1]]).reshape(-1, 3)
+    return meshes.weld(Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3), {}), 1e-6)
+
+
+@pytest.mark.parametrize("halves", ["one", "closed", "open"])
+def test_of_the_blocks_of_a_mold_the_cavity_is_the_bottle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], halves: str
+) -> None:
+    """As a tool maker's file has it: the half is that of the bottle itself."""
+    block = _block(_square())
+    apart = 30.0 if halves == "open" else 0.0
+    parts = [block, Mesh(block.positions * [-1.0, 1.0, 1.0] - [apart, 0.0, 0.0], block.triangles[:, ::-1], {})]
+    for number, part in enumerate(parts):
+        meshes.write_stl(tmp_path / f"half{number}.stl", part.positions, part.triangles)
+    files = [str(tmp_path / f"half{number}.stl") for number in range(1 if halves == "one" else 2)]
+    folder = tmp_path / "bottle"
+    assert main(["new", str(folder), "--process", "extrusion-blow", "--mold", *files]) == 0
+    assert "taken as blocks of a mold, of which the cavity is the bottle" in capsys.readouterr().out
+    made, half = meshes.read_mesh(folder / "half.stl"), find_bottle(_square())
+    np.testing.assert_allclose(np.ptp(made.positions, axis=0), 1e-3 * np.ptp(half.mesh.positions, axis=0), rtol=0.02)
+    assert _area(made) == pytest.approx(1e-6 * half.area, rel=0.02)
+
+
+def _tray(pockets: Sequence[tuple[float, float]]) -> Mesh:
+    """A solid block with pockets 25 mm deep between these places along x [mm]."""
+    x, y = np.meshgrid(np.arange(0.0, 205.0, 5.0), np.arange(0.0, 85.0, 5.0), indexing="ij")
+    deep = np.any([(x > low) & (x < high) for low, high in pockets], axis=0) & (y > 15.0) & (y < 65.0)
+    flat = np.stack([x.ravel(), y.ravel()], axis=1)
+    upper = np.column_stack([flat, np.where(deep, -25.0, 0.0).ravel()])
+    triangles = grids.union_jack(40, 16)
+    one, other = topology.boundary_edges(triangles).T
+    below = len(upper)
+    sides = np.concatenate([np.stack([one, one + below, other], 1), np.stack([other, one + below, other + below], 1)])
+    places = np.concatenate([upper, np.column_stack([flat, np.full(below, -60.0)])])
+    around = _outwards(places[np.concatenate([triangles + below, sides])], np.array([100.0, 40.0, -30.0]))
+    corners = np.concatenate([upper[triangles], around]).reshape(-1, 3)
+    return meshes.weld(Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3), {}), 1e-6)
+
+
+@pytest.mark.quick
+def test_pockets_of_a_tray_and_bottles_themselves_are_no_cavities() -> None:
+    whole = _square()
+    bottles = [whole, clip(whole, np.array([1.0, 0.0, 0.0]), 0.0, keep_below=False), meshes.weld(_bottle("hollow"))]
+    assert [len(block_cavities([mesh])) for mesh in bottles] == [0, 0, 0]
+    (pocket,) = block_cavities([_tray([(45.0, 155.0)])])
+    np.testing.assert_allclose(np.ptp(pocket.positions, axis=0), [110.0, 50.0, 25.0])
+    assert not block_cavities([_tray([(15.0, 85.0), (115.0, 185.0)])])
