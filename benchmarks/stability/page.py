@@ -53,7 +53,7 @@ def _edge(found: Found, folder: Path) -> str:
             f"| {row['stretch']:.2f} | {len(row['begin'])} | {_range(row['begin'])} | {_range(row['end'])} "
             f"| {row['vain']} |"
         )
-    why = ": another mode has become the highest, and the search has not seen it yet; the safety bears that"
+    why = ": another mode has become the highest, which the search has not found yet; the safety covers that"
     missed = why if begin.max() > 1 else ""
     lines += [
         "",
@@ -61,7 +61,7 @@ def _edge(found: Found, folder: Path) -> str:
         f"{_share(begin < 0.9)} are below 0.9, most of them since the sheet is about to stiffen: over the lower of the "
         f"limits at begin and end, times the safety, {_share(lower < 0.9)} of the steps are below 0.9. "
         f"{_share(end > 1)} of the windows end above the true limit, the worst at {end.max():.3f}: a sheet that snaps "
-        "through stiffens within one window. What comes of it is seen at the window's end, by the energy balance, "
+        "through stiffens within one window. The energy balance detects this at the window's end, "
         "and the window is retried.\n",
         "Observed: an inflated sheet, at rest, is stepped at factors of its true limit until it leaves its shape.\n",
         "| sheet | material | stays at | leaves at |",
@@ -124,7 +124,7 @@ def _random(found: Found, folder: Path) -> str:
         "one static shape each; all else is drawn: nodes "
         "shaken, squeezed up to 1:50 or graded, thickness with spots down to a thousandth or up to a thousand times, "
         "pressure that jumps, pulls or turns negative, molds with triangles that turn any way, with undercuts, too "
-        f"small, or where the sheet is, no damping, nonsense in scene files{strangers}. Each ends in one of these "
+        f"small, or where the sheet is, no damping, invalid scene files{strangers}. Each ends in one of these "
         "ways:\n",
         "| how it ended | scenes | seeds |",
         "|---|---|---|",
@@ -138,9 +138,9 @@ def _random(found: Found, folder: Path) -> str:
         "*ok* means: finite, the energy balance correct to one per cent of the largest work, no node beyond the mold, "
         "no element deeper in it than half the longest side, and the end reached or everything stuck. A name without "
         "*status ok* is what the run reported itself: its status, or the warning that the sheet hangs over a mold too "
-        "small for it. One with *status ok* would be a wrong answer that nobody is told of, and so would *units off, "
-        "not a word*. *At rest and said so*: all of the sheet lay on the mold from the start, or nothing pressed on "
-        "it; the account of no work is rounding, and the run warned that nothing moved.\n",
+        "small for it. One with *status ok* would be a wrong result without a warning, and so would *wrong units, "
+        "no warning*. *At rest and said so*: all of the sheet lay on the mold from the start, or nothing pressed on "
+        "it; the energy balance of no work is rounding, and the run warned that nothing moved.\n",
         f"A scene takes {seconds['median']:.2g} s (median) and {steps['median']:.0f} steps; the slowest, "
         f"seed {seconds['slowest']}, {seconds['max']:.0f} s with its compilation. Of those that end well, 99 % miss "
         f"less than {_percent(found['balance']['99 %'])} of the energy and have elements at most "
@@ -198,7 +198,7 @@ def _gradients(found: Found, folder: Path) -> str:
         "the slopes from a parabola, over their mean size; *against differences* how far they are from the "
         "differences of the values between these points (median). Cups are smooth, refined or not. A box that is "
         "refined in flight is not: new nodes near the mold begin at rest or on it, what lies between is squeezed, "
-        "and a membrane that is squeezed buckles at a rate of thousands a second, which no derivative sees through;"
+        "and a membrane that is squeezed buckles at a rate of thousands a second, which makes derivatives useless;"
         " on a uniform mesh no element of that box buckles. So search on a uniform mesh, as the study "
         "`box-insert-field` does, and refine what was found. A sheet that a pressure pushes back or pulls loses its"
         " tension and buckles on any mesh: its gradient grows by orders of magnitude along the run (left).\n",

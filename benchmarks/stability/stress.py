@@ -108,7 +108,7 @@ def classify(row: Row) -> str:
     if not row["finite"]:
         return "not finite, status ok"
     if OFF in row.get("tags", []) and not row["told"]:
-        return "units off, not a word"
+        return "wrong units, no warning"
     if row["balance"] > UNBALANCED:
         # Without work there is nothing to be balanced but rounding; a run has to say that nothing moved.
         said = row["balance"] <= row.get("rounding", 0.0) and bool(row.get("told"))

@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _complain(words: str) -> None:
-    """The one line on standard error, where there is one."""
+    """Prints the line of an error on standard error, if there is one."""
     with contextlib.suppress(OSError):
         print(f"jaxform: {words}", file=sys.stderr, flush=True)
 
@@ -67,7 +67,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Prints the version, which is looked up only then."""
+    """Prints the version, which is looked up on demand."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         session.say(f"{parser.prog} {installation.version()}")

@@ -124,7 +124,7 @@ def _executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
 
 
 def _remove_journals(folder: Path) -> None:
-    """Removes the table and journals of another study's starts, which would otherwise be resumed some day."""
+    """Removes the table and journals of another study's starts, which could otherwise be resumed later."""
     for path in [folder / STARTS, *folder.glob("search.*.jsonl")]:
         with contextlib.suppress(OSError):
             path.unlink()

@@ -63,12 +63,12 @@ def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[
 
 
 def cache_folder() -> Path | None:
-    """The folder in the user's cache folder; None where that is not the user's alone, or cannot be written."""
+    """The folder in the user's cache folder; None if that is not private, or cannot be written."""
     return disk.user_cache_folder()
 
 
 def use_compile_cache(folder: Path) -> None:
-    """Keeps compiled programs between runs, in a folder or where the environment says."""
+    """Stores compiled programs between runs, in a folder or in that of the environment variable."""
     import warnings
 
     from jaxform.core.compilation import keep_programs, keep_programs_in
@@ -123,7 +123,7 @@ def progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] | 
 
 @contextlib.contextmanager
 def report_waiting(arguments: argparse.Namespace, words: str) -> Iterator[None]:
-    """Reports a wait that takes longer than a moment: once in a command, though it may come in parts."""
+    """Reports a long wait once in a command, even if it has several parts."""
     from threading import Timer
 
     reported = vars(arguments).setdefault("reported", set())
@@ -145,7 +145,7 @@ def report_waiting(arguments: argparse.Namespace, words: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def run_in_background[T](work: Callable[[], T]) -> Iterator[Future[T]]:
-    """Does something on another thread; much of a run, and of writing, is spent outside of Python."""
+    """Executes a function on another thread; much of a run, and of writing, is spent outside of Python."""
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(1) as pool:
@@ -222,7 +222,7 @@ def _failure(work: Callable[[], object]) -> Exception | None:
 
 
 def write_report(folder: Path) -> None:
-    """Writes the report; where the results are such that it cannot be made, a warning says why."""
+    """Writes the report; if it cannot be made from the results, a warning gives the reason."""
     from jaxform.io import report
 
     try:

@@ -1,4 +1,4 @@
-"""A second process, in which a command has its pictures drawn while it does something else itself.
+"""A second process that draws the pictures of a command, concurrently with its other work.
 
 Python runs one thread at a time, and to import what a picture needs takes as long as to load the programs of a run.
 """
@@ -21,20 +21,20 @@ _NO_ANSWER = (OSError, EOFError)  # where the other process is no more
 
 
 class DirectCaller:
-    """Calls are done in this process, when they are waited for."""
+    """Executes calls in this process, when their results are requested."""
 
     elsewhere = False
     """True if another process computes the calls."""
 
     def start_call(self, function: Callable[..., object], *arguments: Any) -> Callable[[], object]:
-        """The function that waits for a call, which runs then."""
+        """A function that executes the call and returns its result."""
         return lambda: function(*arguments)
 
 
 class WorkerCaller(DirectCaller):
-    """Another process that gets ready for calls, then does them one after the other.
+    """Another process that prepares for calls, then executes them one after the other.
 
-    A call that fails there, for whatever reason, is repeated in this process, which raises its errors.
+    A call that fails there for any reason is repeated in this process, which raises its errors.
 
     Args:
         module: A module that it imports.
@@ -53,7 +53,7 @@ class WorkerCaller(DirectCaller):
         there.close()
 
     def start_call(self, function: Callable[..., object], *arguments: Any) -> Callable[[], object]:
-        """Has a function of a module called there; one call after the other, each waited for before the next."""
+        """Calls a function of a module there; each call must be waited for before the next one."""
         sent = False
         with contextlib.suppress(*_NO_ANSWER, pickle.PicklingError, AttributeError, TypeError):
             self._here.send((function, arguments))
@@ -69,7 +69,7 @@ class WorkerCaller(DirectCaller):
         return wait
 
     def end(self) -> None:
-        """Ends the process, whatever it does."""
+        """Ends the process at once."""
         self._process.kill()
         self._process.join()
         self._here.close()
@@ -91,7 +91,7 @@ def make_caller(module: str, ready: str, wanted: bool) -> Iterator[DirectCaller]
 
 @contextlib.contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Ctrl-C is not for a process that is started meanwhile: what was computed is drawn all the same."""
+    """Protects a process that is started inside from Ctrl-C, so that it still draws the computed results."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -314,8 +314,8 @@ def _search_pairs(
         )
 
     coarse, kept = _CandidatePairs(*into.coarse, jnp.int32(0)), _CandidatePairs(into.node, into.triangle, jnp.int32(0))
-    begun = _SearchState(jnp.int32(0), jnp.asarray(False), coarse, kept, into.planes, into.clear, into.spheres)
-    found = jax.lax.while_loop(needs_attempt, attempt, begun)
+    initial = _SearchState(jnp.int32(0), jnp.asarray(False), coarse, kept, into.planes, into.clear, into.spheres)
+    found = jax.lax.while_loop(needs_attempt, attempt, initial)
     return found, is_full(found)
 
 

@@ -167,22 +167,22 @@ def _path_ends(nodes: Nodes, length: jax.Array, frame: ToolFrame | None, node: j
     return materialize((x, y, z)), after
 
 
-_LyingParts = tuple[jax.Array, jax.Array]
+_SlidingParts = tuple[jax.Array, jax.Array]
 """The triangle (n_node,) that nodes lie on, -1 for none, and the connected part (n_triangle,) of triangles."""
 
 
-def _on_same_part(lying: _LyingParts, node: jax.Array, triangle: jax.Array) -> jax.Array:
+def _on_same_part(sliding_parts: _SlidingParts, node: jax.Array, triangle: jax.Array) -> jax.Array:
     """Pairs (n,) of a sliding node and a triangle of the part that it slides on: not tested."""
-    lies_on, part = lying
+    lies_on, part = sliding_parts
     on = gather(lies_on, node)
     return (on >= 0) & (gather(part, jnp.maximum(on, 0)) == gather(part, triangle))
 
 
-def _lying_parts(nodes: Nodes, number: int, surface: ContactSurface) -> _LyingParts | None:
+def _sliding_parts(nodes: Nodes, number: int, surface: ContactSurface) -> _SlidingParts | None:
     if surface.part is None:
         return None
-    lies = ~nodes.stuck & (nodes.wall != 0) & on_surface(nodes.tool, number)
-    return jnp.where(lies, jnp.abs(nodes.wall) - 1, -1), surface.part
+    sliding = ~nodes.stuck & (nodes.wall != 0) & on_surface(nodes.tool, number)
+    return jnp.where(sliding, jnp.abs(nodes.wall) - 1, -1), surface.part
 
 
 def _block(
@@ -191,7 +191,7 @@ def _block(
     touches: jax.Array,
     candidates: Candidates,
     touch: jax.Array,
-    lying: _LyingParts | None,
+    sliding_parts: _SlidingParts | None,
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Node, triangle, beta and whether they meet, (block,) each, of one block of pairs."""
     # Once: else every loop over the block looks the number up for every entry.
@@ -204,8 +204,8 @@ def _block(
     beta, meets = _paths_meet(*path_ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < candidates.count
     blocked = gather(touches, node)
-    if lying is not None:
-        blocked |= _on_same_part(lying, node, triangle)
+    if sliding_parts is not None:
+        blocked |= _on_same_part(sliding_parts, node, triangle)
     return node, triangle, beta, meets & used & ~blocked
 
 
@@ -231,7 +231,7 @@ def _first_hits(
     touch: jax.Array,
     found: FirstHits,
     first: int,
-    lying: _LyingParts | None,
+    sliding_parts: _SlidingParts | None,
 ) -> FirstHits:
     """The triangle that each node meets first in this step, counted from `first`; an earlier hit of the step is kept.
 
@@ -243,7 +243,7 @@ def _first_hits(
 
     def choose(carry: tuple[jax.Array, FirstHits]) -> tuple[jax.Array, FirstHits]:
         k, found = carry
-        node, triangle, beta, meets = _block(entry(due[0], k), path_ends, touches, candidates, touch, lying)
+        node, triangle, beta, meets = _block(entry(due[0], k), path_ends, touches, candidates, touch, sliding_parts)
         return k + 1, _update_hits(found, materialize((node, first + triangle, beta, meets)))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), found))[1]
@@ -303,12 +303,14 @@ def _place_hit_nodes(
             touch,
             met,
             first,
-            _lying_parts(nodes, number, surface),
+            _sliding_parts(nodes, number, surface),
         )
 
     beta, chosen, listed, count = met
 
-    def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
+    def place_hit_node(
+        k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]
+    ) -> tuple[Landing, jax.Array, jax.Array]:
         landing, beta, chosen = carry
         node = entry(listed, k)
 
@@ -335,7 +337,7 @@ def _place_hit_nodes(
         beta, chosen = put(beta, jnp.full_like(beta[:1], jnp.inf), node), put(chosen, jnp.full_like(triangle, -1), node)
         return landing, beta, chosen
 
-    landing, beta, chosen = jax.lax.fori_loop(0, count, one, (landing, beta, chosen))
+    landing, beta, chosen = jax.lax.fori_loop(0, count, place_hit_node, (landing, beta, chosen))
     return landing, (beta, chosen, listed, jnp.int32(0))
 
 

@@ -26,8 +26,8 @@ from jaxform.core.installation import usable_cores
 def with_standard_promotion[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     """The function under JAX's standard promotion of types, which this package is written for.
 
-    Who asks for the strict one asks for it of code of their own. Rules of derivatives need it too: JAX calls them long
-    after `simulate` has returned.
+    A user's choice of strict promotion applies to the user's code only. Rules of derivatives need it too: JAX calls
+    them after `simulate` has returned.
     """
 
     @functools.wraps(function)
@@ -42,10 +42,10 @@ def with_standard_promotion[**P, R](function: Callable[P, R]) -> Callable[P, R]:
 
 @contextlib.contextmanager
 def device_context(array: Any) -> Iterator[Callable[[Any], Any]]:
-    """Computes on the device that an array is on, and gives what places a result there.
+    """Computes on the device of an array, and yields a function that places a result there.
 
-    What has passed the host is on the default device, and arrays that are on no device by their user's choice follow
-    it. Arrays on several devices are left to JAX.
+    Results that passed the host are on the default device, as are arrays without a device chosen by the user. Arrays
+    on several devices are left to JAX.
     """
     devices = array.devices() if isinstance(array, jax.Array) else set()
     if len(devices) != 1 or (device := next(iter(devices))) == default_device():
@@ -60,7 +60,7 @@ def _move_to_device(device: Any, tree: Any) -> Any:
 
 
 def default_device() -> Any:
-    """The device that JAX computes on where nothing else is said."""
+    """The device on which JAX computes by default."""
     chosen = jax.config.jax_default_device
     if chosen is None:
         return jax.local_devices()[0]
@@ -103,7 +103,7 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
 
     Args:
         folder: The folder. By default JAX's (`JAX_COMPILATION_CACHE_DIR`), else the user's cache folder, as for the
-            command. Programs in it are executed: nobody else should be able to write to it.
+            command. Programs in it are executed: no other user should be able to write to it.
 
     Returns:
         The folder; None if the user has no private cache folder: then nothing is stored.
@@ -133,13 +133,13 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
 
 
 def keep_programs_in(folder: Path, guard: contextlib.ExitStack) -> None:
-    """Keeps compiled programs between processes in a folder, which is looked over now and when the guard is closed."""
+    """Stores compiled programs in a folder between processes; it is verified now and when the guard closes."""
     guard.enter_context(disk.guard_folder(folder))
     share_programs_in(folder)
 
 
 def share_programs_in(folder: Path) -> None:
-    """Keeps compiled programs in a folder that another process looks over, while several use it."""
+    """Stores compiled programs in a folder shared by several processes, which another process verifies."""
     jax.config.update("jax_compilation_cache_dir", str(folder))
     # Else what was compiled before would have settled for this process that nothing is kept.
     compilation_cache.reset_cache()
@@ -193,7 +193,7 @@ def start_compiling(
 
 
 def submit_compilation[T](work: Callable[[], T]) -> Future[T]:
-    """Work of a compiler or loader of programs, which is done on another thread while others are compiled."""
+    """The future of work of compiling or loading a program, on another thread while others are compiled."""
     return _compilers().submit(work)
 
 
@@ -204,7 +204,7 @@ def _compilers() -> ThreadPoolExecutor:
 
 @contextlib.contextmanager
 def _pause_garbage_collection() -> Iterator[None]:
-    """Tracing makes many objects that live on: to look for garbage among them takes a tenth of its time."""
+    """Pauses garbage collection: tracing makes many lasting objects, and collection takes a tenth of its time."""
     used = gc.isenabled()
     gc.disable()
     try:
@@ -217,8 +217,8 @@ def _pause_garbage_collection() -> Iterator[None]:
 def exceeds_program_limit() -> bool:
     """True where this process has so many programs that some must be released before others are compiled.
 
-    On Linux each takes some hundred mappings of memory, of 65 530 as a rule; where there are none left the compiler
-    ends the process. Elsewhere nothing is known of such a limit.
+    On Linux each takes some hundred mappings of memory, of 65 530 as a rule; without any left the compiler
+    ends the process. On other systems no such limit is known.
     """
     with contextlib.suppress(OSError, ValueError):
         with Path("/proc/self/maps").open("rb") as mappings:

@@ -1,4 +1,4 @@
-"""Files: those that a user names are read within bounds, written ones are complete or absent; the cache folder."""
+"""Files: bounded reads of files that a user names, atomic writes, and the cache folder."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def expand_path(name: str | Path, folder: str | Path | None = None) -> Path:
         folder: Base of a relative name; by default the working directory.
 
     Raises:
-        InputError: No file can have such a name, or there is no such home.
+        InputError: The name is not valid for a file, or there is no such home folder.
     """
     text = str(name)
     if "\0" in text:
@@ -78,7 +78,7 @@ def read_text(path: Path, most: int = MOST_TEXT, name: str | Path | None = None)
     """The text of a regular file in UTF-8, a byte order mark left out, lines ended by a line feed.
 
     Raises:
-        InputError: As `read_bytes`, or it is no such text.
+        InputError: As `read_bytes`, or it is not such a text.
     """
     try:
         text = read_bytes(path, most, name).decode("utf-8-sig")
@@ -119,7 +119,7 @@ PREFIX = ".jaxform-"
 
 @contextlib.contextmanager
 def atomic_path(path: str | Path, remedy: str = "free disk space, or choose another folder") -> Iterator[Path]:
-    """Gives a path to write to; what was written there then replaces the file at `path`, or nothing does.
+    """Yields a temporary path; the file written there then replaces `path` completely, or not at all.
 
     Args:
         path: The file, replaced if it is there.
@@ -153,10 +153,10 @@ _RECORD = "record.json"
 
 
 def user_cache_folder() -> Path | None:
-    """`jaxform` in the user's cache folder, with a folder for compiled programs and one for what else was made.
+    """`jaxform` in the user's cache folder, with a folder for compiled programs and one for other results.
 
-    None where there is no home, it cannot be written, or somebody else could put something into it: programs that are
-    kept there are run.
+    None if there is no home, it cannot be written, or other users could write into it: programs stored there are
+    executed.
     """
     try:
         named = os.environ.get("XDG_CACHE_HOME", "")
@@ -187,11 +187,11 @@ def _belongs_to_user(folder: Path) -> bool:
 
 @contextlib.contextmanager
 def guard_folder(folder: Path) -> Iterator[None]:
-    """Sees to it that JAX finds under each name in a folder what it wrote there itself.
+    """Ensures that JAX reads only files of a folder that it wrote there itself.
 
-    JAX believes what it reads: a program under the name of another would be run. What differs in size or date from
-    what was there at the end of the last run is removed, so that it is recompiled; all of it, where the record of
-    that is damaged.
+    JAX does not verify what it reads: a program under the name of another would be executed. A file that differs in
+    size or date from the record of the last run is removed, so that it is recompiled; all files, if the record is
+    damaged.
     """
     record = folder / _RECORD
     known = _read(record)
@@ -211,9 +211,9 @@ def guard_folder(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def exclusive(folder: Path | None, name: str = "all") -> Iterator[None]:
-    """One process at a time is inside, of those that use a cache folder on this machine.
+    """Lets one process at a time inside, of those that use a cache folder on this machine.
 
-    A process that ends leaves it. Where files cannot be locked (on Windows, say) all of them are inside.
+    The end of a process releases it. Where files cannot be locked (on Windows, for example) it has no effect.
     """
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(ImportError, OSError):

@@ -105,7 +105,7 @@ def defer_warnings() -> Iterator[None]:
 
 
 def _format_value(value: Any, limit: int = 160) -> str:
-    """The value as it would be typed, cut to the limit."""
+    """The value as it would be typed, truncated to the limit."""
     return truncate_text(repr(value), limit)
 
 
@@ -118,7 +118,7 @@ def truncate_text(text: str, limit: int = 1000) -> str:
 
 
 def format_coordinate(value: float, factor: float = 1.0, digits: int = 4) -> str:
-    """A coordinate [m], times a factor, without what rounding makes of 0, or its sign."""
+    """A coordinate [m], times a factor, without rounding errors of 0 or a negative zero."""
     return f"{factor * round(float(value), 10) + 0.0:.{digits}g}"
 
 

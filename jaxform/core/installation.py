@@ -22,7 +22,7 @@ UNKNOWN = "of unknown version"
 
 
 def version() -> str:
-    """The version, as the installed package tells it."""
+    """The version of the installed package."""
     from importlib import metadata  # takes a hundredth of a second, and few commands need it
 
     try:

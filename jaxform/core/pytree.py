@@ -38,14 +38,14 @@ def pytree[T](cls: type[T]) -> type[T]:
 
 
 def _describe(tree: Any) -> str:
-    """A tree in one line, without the fields that have nothing."""
+    """A tree in one line, without empty fields."""
     values = {part.name: getattr(tree, part.name, None) for part in dataclasses.fields(tree)}
     inside = ", ".join(f"{name}={abbreviate(value)}" for name, value in values.items() if value is not None)
     return f"{type(tree).__name__}({inside})"
 
 
 def abbreviate(value: Any) -> str:
-    """A number as it is, an array as its type and shape, a tree as the name of its class, for a line of text."""
+    """A number unchanged, an array as its type and shape, a tree as the name of its class, for a line of text."""
     if isinstance(value, (jax.Array, np.ndarray)):
         if value.ndim or isinstance(value, Tracer):
             return f"{value.dtype}[{','.join(map(str, value.shape))}]"
@@ -77,7 +77,7 @@ def row_count(array: Any) -> str:
 
 
 def memoize[T, R](function: Callable[[T], R]) -> Callable[[T], R]:
-    """The function of a frozen tree, which finds its result once, as long as that very tree is there."""
+    """The function of a frozen tree, whose result is cached as long as that tree object exists."""
     results: weakref.WeakKeyDictionary[T, R] = weakref.WeakKeyDictionary()
 
     @functools.wraps(function)

@@ -196,7 +196,7 @@ def declare(key: str, allowed: Range) -> None:
     """Makes a number designable; laws may have numbers of one name with ranges of their own.
 
     Raises:
-        InputError: There are as many as can be told apart.
+        InputError: There is no bit left for another number.
     """
     if key not in DESIGNABLE:
         if len(DESIGNABLE) == WORDS * BITS:

@@ -1,8 +1,8 @@
 """A store of expensive, reproducible results in files between runs: search grids and compiled programs.
 
 The command line keeps one in the user's cache folder, beside JAX's own of small programs. Names of files are digests
-of everything the content depends on, this package's source included, so that nothing in it can be out of date; what
-cannot be read or written is made again.
+of everything the content depends on, this package's source included, so that no content can be out of date; a
+file that cannot be read or written is made again.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ PendingProgram = tuple[Any, Future[Callable[..., Any]]]
 
 
 class Store:
-    """A folder of things kept; without a folder compiled programs alone are, in memory.
+    """A folder of stored results; without a folder only compiled programs are stored, in memory.
 
     Args:
         folder: Path of the folder; None keeps compiled programs in memory.
@@ -122,9 +122,9 @@ class Store:
         return path is not None and path.exists()
 
     def preload(self, subject: str) -> None:
-        """Starts to load what a run of a subject took last time, while the scene is still being read.
+        """Starts to load the programs of the last run of a subject, while the scene is still being read.
 
-        Of a subject that is not known, what the last run of all took.
+        For an unknown subject, those of the last run of all.
         """
         if self.folder is not None:
             self._ahead = submit_compilation(lambda: self._start_preloading(subject))
@@ -162,7 +162,7 @@ class Store:
         return {name: loading for name in longest_first if (loading := _start_deserializing(found[name])) is not None}
 
     def clear_memory(self) -> None:
-        """Lets go of the programs in memory; those in files stay."""
+        """Releases the programs in memory; those in files stay."""
         self._programs.clear()
 
     def _file(self, key: _ProgramKey) -> Path | None:
@@ -193,10 +193,10 @@ class Store:
         if path is None:
             return None
         ahead = {} if self._ahead is None else self._ahead.result()
-        begun = ahead.pop(path.name, None) or _start_deserializing(_read_verified(path))
-        if begun is None:
+        pending = ahead.pop(path.name, None) or _start_deserializing(_read_verified(path))
+        if pending is None:
             return None
-        described, loading = begun
+        described, loading = pending
         try:
             shapes, of_trees = _restore_trees(described)
         except Exception:  # any error of pickle for a file of another version
@@ -230,12 +230,12 @@ class Store:
                 self._write(path, content)
 
         try:
-            begun = start_compiling(jit_under_new_name(function), *arguments, done=store_program)
+            pending = start_compiling(jit_under_new_name(function), *arguments, done=store_program)
         except BaseException:
             lock.close()
             raise
-        begun[1].add_done_callback(lambda _: lock.close())
-        return begun
+        pending[1].add_done_callback(lambda _: lock.close())
+        return pending
 
     def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
         if self.folder is None:
@@ -250,7 +250,7 @@ class Store:
         return self.folder / f"{name.strip('_')}-{digest.hexdigest()[:32]}"
 
     def _write(self, path: Path, content: Any) -> None:
-        """All or nothing, since another run may read at any moment; the content behind its seal."""
+        """Writes atomically, since another run may read at any time; a digest precedes the content."""
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:

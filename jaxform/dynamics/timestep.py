@@ -104,7 +104,7 @@ def _gain_factor(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Arr
     In nonlinear motion the fast modes gain energy at steps at which a linear mode is stable, unless damping takes it.
     """
     account = state.account
-    gained = account.imbalance - energy_rounding(scene, active.substance)
+    gained = account.imbalance - energy_rounding(scene, active.material_volume)
     share = gained / jnp.maximum(account.peak_work, jnp.finfo(gained.dtype).tiny)
     return jnp.clip(share / _GAIN, 1.0, _MOST_SHORTENING)
 
@@ -200,8 +200,8 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
         own = allocate_corner_forces(state.nodes.positions, elements), allocate_basis(begin.shape[1], begin.dtype)
     else:
         own = workspace.corners, workspace.basis
-    begun = begin, state.control.sharpness, ~known, jnp.asarray(True), own
-    mode, sharpness, _, _, (corners, basis) = jax.lax.while_loop(lambda found: found[3], search, begun)
+    initial = begin, state.control.sharpness, ~known, jnp.asarray(True), own
+    mode, sharpness, _, _, (corners, basis) = jax.lax.while_loop(lambda found: found[3], search, initial)
     # Growth of the stiffness so far stands for growth within the window, which may take more steps than the last.
     before, windows = (
         state.control.sharpness * state.control.bound,
@@ -380,8 +380,8 @@ def _highest_mode(
     none, nowhere = jnp.zeros(_MANY, start.dtype), jnp.zeros_like(start)
     count = jnp.where(thorough, _MANY, _FEW)
     corners, basis = workspace
-    begun = _Lanczos(start, norm(start), nowhere, basis, none, none, nowhere, corners)
-    done = jax.lax.fori_loop(0, count, multiply, begun)
+    initial = _Lanczos(start, norm(start), nowhere, basis, none, none, nowhere, corners)
+    done = jax.lax.fori_loop(0, count, multiply, initial)
     off = jnp.where(jnp.arange(1, _MANY) < count, done.beside[:-1], 0.0)
     square, share = _largest_of_few(done.diagonal, off)
     square, share = lax_cond_once(thorough, lambda _: _largest_of_many(done.diagonal, off), (square, share))

@@ -67,7 +67,7 @@ def end_window(
         steps=state.steps + current.count,
         windows=state.windows + 1,
     )
-    rounding = energy_rounding(scene, data.active.substance)
+    rounding = energy_rounding(scene, data.active.material_volume)
     status, imbalance = _health(new, end, rounding, scene, data.active)
     new = dataclasses.replace(new, account=dataclasses.replace(new.account, imbalance=imbalance))
     # A window whose energy balance misses too much is retried with shorter steps, a few times.

@@ -395,7 +395,7 @@ _run_files: dict[tuple[Path, str], dict[str, type[Law]]] = {}
 
 
 def import_models_of(tables: dict[str, Any], folder: Path, file: str) -> None:
-    """Registers the material models that the key `model_file` of a scene's [material] makes known.
+    """Registers the material models of the file named by `model_file` in a scene's [material].
 
     Args:
         tables: Tables of a scene file, not validated.

@@ -1,4 +1,4 @@
-"""Results of an earlier run, read from its folder, that later runs need."""
+"""Results of an earlier run that later runs need, read from its folder."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def _pyvista() -> Any:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """VTK says on standard error that there is no display, and then draws without one."""
+    """Suppresses the message of VTK on a missing display, without which it draws all the same."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     try:

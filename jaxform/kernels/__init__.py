@@ -1,4 +1,4 @@
-"""All that is there because of XLA: loops over blocks, sealed operations, derivatives by hand, bucket sizes.
+"""Code that exists because of XLA: loops over blocks, opaque operations, derivative rules, bucket sizes.
 
 docs/explanation/kernels.md says what each is for.
 """

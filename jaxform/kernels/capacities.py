@@ -1,7 +1,7 @@
-"""Bucket sizes: how long arrays are for which compiled programs are made.
+"""Bucket sizes: the array lengths for which programs are compiled.
 
 A program is compiled for the lengths of its arrays. Scenes whose arrays are as long as the same buckets share all their
-programs, whatever their meshes and molds are; what is beyond a mesh is not active. A bucket size is twice the one
+programs, for any meshes and molds; entries beyond a mesh are not active. A bucket size is twice the one
 below, or half as long again where unused capacity takes some time all the same, or four times as long.
 """
 
@@ -122,10 +122,10 @@ def cell_capacity(count: int) -> int:
 
 
 def cell_list_capacity(count: int) -> int:
-    """Capacity for what the cells list."""
+    """Capacity for the entries of the cells' lists."""
     return bucket_size(count, _LISTED, _FAR_APART)
 
 
 def bend_part_capacity(count: int) -> int:
-    """Capacity for the parts of cells that know how far a bend of the mold is."""
+    """Capacity for the parts of cells with the distance to bends of the mold."""
     return bucket_size(count, _BEND)

@@ -1,8 +1,8 @@
 """Elementary functions in double precision, to rounding, from additions and products that run in vectors.
 
 XLA's CPU compiler has no logarithm in vectors in double precision, and an exponential that is right for any number.
-These work on the bits of a number, 2^k m: k is in its own bits, what is left is a short polynomial. They are right in
-the ranges given; what is no number stays none. In other precisions they are JAX's.
+These work on the bits of a number, 2^k m: k is in its own bits, the rest is a short polynomial. They are accurate in
+the given ranges; NaN stays NaN. In other precisions they are JAX's.
 """
 
 from __future__ import annotations

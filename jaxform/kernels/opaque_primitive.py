@@ -1,8 +1,8 @@
 """Functions that are one opaque operation to the transformations around them, such as `shard_map` and derivatives.
 
 Under `shard_map` JAX types every value by the mesh axes along which it differs, and a loop whose carry starts with a
-constant then has no valid type. A simulation speaks with no other device, so its inside needs no such types: inputs are
-made to differ along all axes at once, and so do the results.
+constant then has no valid type. A simulation does not communicate with other devices, so its inside needs no such
+types: inputs are made to differ along all axes at once, and so do the results.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def call_opaque(function: Callable[..., Any], *arguments: Any, name: Hashable = 
         else flat.jitted.trace(*_plain_shapes(leaves)).jaxpr
     )
     leaves = match_mesh_axes(leaves)
-    results = _sealed_p.bind(*leaves, jaxpr=jaxpr)
+    results = _opaque_p.bind(*leaves, jaxpr=jaxpr)
     # An argument that is returned unchanged stays the same value, which loops look for.
     given = dict(zip(map(id, jaxpr.jaxpr.invars), leaves, strict=True))
     outgoing = map(id, jaxpr.jaxpr.outvars)
@@ -134,7 +134,7 @@ def _value(*leaves: Any, jaxpr: Any) -> Any:
 
 
 def _linearize(is_vjp: bool, moving: Sequence[bool], *primals: Any, jaxpr: Any) -> Any:
-    return fallback_linearize_rule(_sealed_p, is_vjp, moving, *primals, jaxpr=jaxpr, forward=not is_vjp)
+    return fallback_linearize_rule(_opaque_p, is_vjp, moving, *primals, jaxpr=jaxpr, forward=not is_vjp)
 
 
 def _jvp(primals: Any, tangents: Any, *, jaxpr: Any, forward: bool = False) -> tuple[Any, Any]:
@@ -144,9 +144,9 @@ def _jvp(primals: Any, tangents: Any, *, jaxpr: Any, forward: bool = False) -> t
     moving = [not isinstance(tangent, ad.Zero) for tangent in tangents]
     both, moves = ad.jvp_jaxpr(jaxpr, moving, False)
     given = [tangent for tangent, here in zip(tangents, moving, strict=True) if here]
-    found = _sealed_p.bind(*match_mesh_axes([*primals, *given]), jaxpr=both)
+    found = _opaque_p.bind(*match_mesh_axes([*primals, *given]), jaxpr=both)
     # Known values must not come out of one operation together with values that depend on unknown tangents.
-    results = _sealed_p.bind(*primals, jaxpr=jaxpr) if unknown else found[: len(moves)]
+    results = _opaque_p.bind(*primals, jaxpr=jaxpr) if unknown else found[: len(moves)]
     changes = iter(found[len(moves) :])
     none = [ad.Zero(jax.typeof(result).to_tangent_aval()) for result in results]
     return results, [next(changes) if here else zero for here, zero in zip(moves, none, strict=True)]
@@ -160,20 +160,20 @@ def _batch(axis: Any, leaves: Any, axes: Any, *, jaxpr: Any) -> tuple[Any, Any]:
     """The batching rule: unbatched results stay unbatched, on which `jax.jacfwd` relies."""
     asked = [batching.zero_if_mapped] * len(jaxpr.out_avals)
     many, differs = batching.batch_jaxpr_axes(jaxpr, axis, axes, asked)
-    results = _sealed_p.bind(*match_mesh_axes(leaves), jaxpr=many)
+    results = _opaque_p.bind(*match_mesh_axes(leaves), jaxpr=many)
     return results, [0 if each else None for each in differs]
 
 
-_sealed_p = Primitive("sealed")
-_sealed_p.multiple_results = True
-_sealed_p.is_high = lambda *_, **__: False  # what is inside, JAX brings down when it is compiled
-_sealed_p.def_impl(lambda *leaves, jaxpr: jax.jit(partial(_value, jaxpr=jaxpr))(*leaves))
-_sealed_p.def_abstract_eval(_result_types)
-mlir.register_lowering(_sealed_p, lower_without_axes(_value))
-ad.primitive_jvps[_sealed_p] = _jvp
-ad.primitive_transposes[_sealed_p] = _no_transpose
-primitive_linearizations[_sealed_p] = _linearize
-batching.fancy_primitive_batchers[_sealed_p] = _batch
+_opaque_p = Primitive("opaque")
+_opaque_p.multiple_results = True
+_opaque_p.is_high = lambda *_, **__: False  # JAX lowers the inner operations at compilation
+_opaque_p.def_impl(lambda *leaves, jaxpr: jax.jit(partial(_value, jaxpr=jaxpr))(*leaves))
+_opaque_p.def_abstract_eval(_result_types)
+mlir.register_lowering(_opaque_p, lower_without_axes(_value))
+ad.primitive_jvps[_opaque_p] = _jvp
+ad.primitive_transposes[_opaque_p] = _no_transpose
+primitive_linearizations[_opaque_p] = _linearize
+batching.fancy_primitive_batchers[_opaque_p] = _batch
 
 
 # A function of a load and of elements as an operation of JAX, with derivatives written by hand.

@@ -195,9 +195,9 @@ def find_initial_bisections(
 
 def _partly_in_contact(forest: bisection.TriangleForest, wall: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Triangles (n_triangle,) of which some nodes are in contact and others are not, those of their parts included."""
-    lies = wall != 0
-    some = (lies & ~forest.clamped)[forest.triangles].any(1)
-    each = (lies | forest.clamped)[forest.triangles].all(1)
+    touches = wall != 0
+    some = (touches & ~forest.clamped)[forest.triangles].any(1)
+    each = (touches | forest.clamped)[forest.triangles].all(1)
     for level in range(forest.depth - 1, -1, -1):
         first, last = (forest.root_count * ((1 << k) - 1) for k in (level, level + 1))
         end = forest.root_count * ((1 << (level + 2)) - 1)

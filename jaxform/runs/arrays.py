@@ -110,9 +110,9 @@ def pad_sheet(sheet: ReferenceGeometry, capacity: int, order: Order) -> Referenc
     )
 
 
-def pad_initial_contact(lying: Any, order: Order) -> Any:
+def pad_initial_contact(contact: Any, order: Order) -> Any:
     """Initial contact of the nodes, padded; none at any node where the scene has none."""
-    return pad_nodal(np.zeros(len(order.node), np.int32) if lying is None else lying, order, 0)
+    return pad_nodal(np.zeros(len(order.node), np.int32) if contact is None else contact, order, 0)
 
 
 def pad_rim(rim: Rim, order: Order) -> Rim:

@@ -117,7 +117,7 @@ class ActiveSet:
         bound: Largest eigenvalue of the elements' shape gradients (capacity,) [1/m^2].
         mass: Lumped mass of the nodes (place,) [kg].
         compliance: Mobility over mass (3, place) [1/kg].
-        substance: Material volume of the active elements [m^3].
+        material_volume: Material volume of the active elements [m^3].
         inactive_volume: Volume enclosed by the inactive elements [m^3]; of regions with loads of their own (n_load,).
         inactive_energy: Strain energy of the inactive elements [J].
         memory: Stress of the Prony terms of all elements at the time of packing; None without Prony terms.
@@ -135,7 +135,7 @@ class ActiveSet:
     bound: jax.Array
     mass: jax.Array
     compliance: jax.Array
-    substance: jax.Array
+    material_volume: jax.Array
     inactive_volume: jax.Array
     inactive_energy: jax.Array
     memory: jax.Array | None = None
@@ -348,7 +348,7 @@ def _add_masses(
         bound=discrete.bound[packed.element],
         mass=packed.pack(discrete.mass),
         compliance=packed.pack(discrete.compliance),
-        substance=jax.lax.stop_gradient(total(packed.elements.area * thickness)),
+        material_volume=jax.lax.stop_gradient(total(packed.elements.area * thickness)),
         inactive_volume=inactive_volume,
         inactive_energy=inactive_energy,
     )

@@ -27,8 +27,8 @@ def cool_state(
     state: PackedState, scene: Scene, active: ActiveSet, *, differentiable: bool
 ) -> tuple[PackedState, ActiveSet]:
     """The state at a window boundary and the active set, with the present temperatures."""
-    cooling, heat, begun, elements = scene.cooling, state.heat, active.initial, active.packed.elements
-    if cooling is None or heat is None or begun is None:
+    cooling, heat, initial, elements = scene.cooling, state.heat, active.initial, active.packed.elements
+    if cooling is None or heat is None or initial is None:
         return state, active
     nodes, time, law = state.nodes, state.time, scene.material
     longest = scene.tables.longest_window * state.control.step_length
@@ -38,8 +38,8 @@ def cool_state(
     numbers = (active.zones, active.modes) if law.shift is not None else None
     memory = state.memory if scene.stiffens else None
 
-    def compute_block(own: Any, before: ThermalState, begun: Any, numbers: Any, memory: jax.Array | None) -> Any:
-        (triangles, inverse, area, thickness), (first, first_zones) = own, begun
+    def compute_block(own: Any, before: ThermalState, initial: Any, numbers: Any, memory: jax.Array | None) -> Any:
+        (triangles, inverse, area, thickness), (first, first_zones) = own, initial
         _, *edges = membrane.edges(positions, triangles)
         there = can_move(nodes.stuck, triangles, area)
         determinant = membrane.invariants(*masked_metrics(there, membrane.metric(*edges), inverse)).determinant
@@ -74,7 +74,7 @@ def cool_state(
     own = elements.triangles, elements.inverse_metric, elements.area, active.thickness
     held, kinds = jax.tree.flatten((heat, numbers, memory))
     into = [values.reshape(-1, values.shape[-1]) for values in held]
-    inputs = own, heat, begun, numbers, memory
+    inputs = own, heat, initial, numbers, memory
     blocks, sums = elements.block_count, int(scene.stiffens)
     found, (*lost, cooling_rate) = over_blocks(
         compute_block, blocks, inputs, into, sums=sums, most=1, whole=differentiable

@@ -71,7 +71,7 @@ class LocalWorkers(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Ends the processes, whatever they do."""
+        """Ends the processes at once."""
         self._alive_here.close()
         for pool in self._pools:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -80,7 +80,7 @@ def test_units_that_are_off_are_a_thousand_times_off_and_must_be_told() -> None:
     assert seen == {True, False}
     row = {"tags": [scenes.OFF], "status": 0, "finite": True, "balance": 0.0, "warned": False, "done": 1.0,
            "nodes_beyond": 0.0, "elements_beyond": 0.0, "stuck": 0.0}  # fmt: skip
-    assert stress.classify(row | {"told": []}) == "units off, not a word"
+    assert stress.classify(row | {"told": []}) == "wrong units, no warning"
     assert stress.classify(row | {"told": ["nothing touched the mold"]}) == "ok"
 
 

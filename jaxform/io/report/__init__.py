@@ -1,7 +1,7 @@
 """The report: one HTML file with the part in three dimensions, its diagrams and its tables, which needs no network.
 
-It is made of the files in a folder of results, so that it says what they say. `reading` reads them, `measuring` finds
-where to measure, `contents` and `charts` pack what the scripts draw, `page` writes text and tables; the scripts unpack
+It is made from the files in a folder of results. `stored_results` reads them, `contents` and `charts` pack the data
+that the scripts draw, `charts` also finds the measuring points, `page` writes text and tables; the scripts unpack
 (`unpack.js`), draw (`view.js`, `part.js`, `chart.js`) and answer (`page.js`).
 """
 
