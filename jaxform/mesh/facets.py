@@ -62,12 +62,18 @@ def locate_numbers(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDA
 
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_UNCOUNTED = (0, 2**32 - 1)  # written for the number of facets by programs that do not know it when they begin
 _VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t\r]*$", re.MULTILINE | re.IGNORECASE)
 
 
 def read_stl(content: bytes, name: str) -> Faces:
     """The facets of an STL file, binary or ASCII, nodes not welded."""
     count = int.from_bytes(content[80:84], "little")
+    there, rest = divmod(max(len(content) - 84, 0), _FACET.itemsize)
+    if count in _UNCOUNTED and there and not rest and b"\0" in content[84:]:
+        words = f"gives no number of triangles, and has {there}"
+        warn_of(words, "export it again if triangles are missing", value=name)
+        count = there
     expected = 84 + _FACET.itemsize * count
     # Where ASCII has its letters, the number of a binary file is larger than any file.
     if len(content) >= 84 and count and len(content) >= expected:
@@ -75,14 +81,19 @@ def read_stl(content: bytes, name: str) -> Faces:
             words = f"has {len(content) - expected} bytes after the last of its {count} triangles, which are left out"
             warn_of(words, "export it again if triangles are missing", value=name)
         return _unwelded_faces(np.frombuffer(content, _FACET, count, 84)["corners"].astype(np.float64))
-    lower = content.lower()
+    text = _unify_line_ends(content)
+    lower = text.lower()
     if b"facet" in lower[:100_000] and lower.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"solid"):
-        return _unwelded_faces(_ascii_corners(content, lower))
+        return _unwelded_faces(_ascii_corners(text, lower))
     if len(content) >= 84 and count and b"\0" in content:
-        there = (len(content) - 84) // _FACET.itemsize
         problem = f"is not an ASCII STL file, and is incomplete as a binary one: {there} of {count} triangles"
         raise InputError(problem, "export or copy it again")
     raise ValueError("neither binary nor ASCII STL")
+
+
+def _unify_line_ends(content: bytes) -> bytes:
+    """Text whose lines end as on Unix, from any system."""
+    return content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
 
 
 def _ascii_corners(content: bytes, lower: bytes) -> NDArray[np.float64]:
@@ -102,12 +113,12 @@ def _unwelded_faces(corners: NDArray[np.float64]) -> Faces:
 
 def read_obj(content: bytes, name: str) -> Faces:
     """The positions and faces of an OBJ file; normals, textures, materials, lines and curves are left out."""
-    text = content.decode("utf-8-sig", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
+    text = _unify_line_ends(content).decode("utf-8-sig", errors="replace").replace("\\\n", " ")
     points: list[list[float]] = []
     corners: list[int] = []
     counts: list[int] = []
     for line in text.split("\n"):
-        words = line.split()
+        words = line.partition("#")[0].split()
         if not words or words[0] not in ("v", "f"):
             continue
         if words[0] == "v":
@@ -140,7 +151,7 @@ _OFF_HEADER = re.compile(r"(?:ST)?C?N?OFF\b[ \t]*(.*)", re.IGNORECASE)
 
 def read_off(content: bytes, name: str) -> Faces:
     """The positions and faces of an OFF file; colours, normals and textures are left out."""
-    lines = (line.partition("#")[0].split() for line in content.decode("utf-8-sig").split("\n"))
+    lines = (line.partition("#")[0].split() for line in _unify_line_ends(content).decode("utf-8-sig").split("\n"))
     rows = [words for words in lines if words]
     header = _OFF_HEADER.fullmatch(" ".join(rows[0]))
     if not header:

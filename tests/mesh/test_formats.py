@@ -76,6 +76,7 @@ def _binary_stl(header: bytes = b"cup", soup: np.ndarray = SOUP) -> bytes:
         _ascii_stl().replace("\n", "\r\n").replace("  ", "\t"),
         "\ufeff" + _ascii_stl("vertex of a facet"),
         _ascii_stl("").replace("  ", ""),
+        _ascii_stl().replace("\n", "\r"),
     ],
 )
 def test_ascii_stl_however_it_is_spaced_and_spelt(tmp_path: Path, text: str) -> None:
@@ -96,6 +97,27 @@ def test_bytes_after_the_last_triangle_of_an_stl_are_left_out_with_a_word(tmp_pa
     with pytest.warns(InputWarning, match="has 7 bytes after the last of its 36 triangles"):
         mesh = _read(tmp_path, "cup.stl", _binary_stl() + b"\0trails")
     _same(mesh)
+
+
+@pytest.mark.parametrize("count", [0, 2**32 - 1])
+@pytest.mark.parametrize("header", [b"cup", b"solid cup"])
+def test_a_binary_stl_of_which_the_count_was_not_filled_in_is_read(tmp_path: Path, count: int, header: bytes) -> None:
+    content = _binary_stl(header)
+    with pytest.warns(InputWarning, match="gives no number of triangles, and has 36"):
+        mesh = _read(tmp_path, "cup.stl", content[:80] + struct.pack("<I", count) + content[84:])
+    _same(mesh)
+    _assert_refused(tmp_path, "cup.stl", content[:80] + struct.pack("<I", count) + content[84:-7])
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("ending", [".obj", ".off"])
+def test_comments_after_a_line_and_line_ends_of_any_system(tmp_path: Path, ending: str, end: str) -> None:
+    points = ["{!r} {!r} {!r} # a place".format(*map(float, place)) for place in POINTS]
+    if ending == ".obj":
+        lines = [f"v {line}" for line in points] + [f"f {a + 1}//1 {b + 1} {c + 1} # a face" for a, b, c in FACES]
+    else:
+        lines = ["OFF", f"{len(POINTS)} {len(FACES)} 0", *points, *(f"3 {a} {b} {c} # a face" for a, b, c in FACES)]
+    _same(_read(tmp_path, f"cup{ending}", end.join(["# a cup", *lines, ""])))
 
 
 @pytest.mark.parametrize("header", [b"cup", b"solid cup", b"solid facet"])
