@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -70,25 +71,32 @@ def start(arguments: argparse.Namespace) -> int:
     except InputError as error:
         raise error.with_context(key="--mold") from None
     _open_folder(arguments)
-    files = scene_text.write(arguments.folder, paths, made)
-    if not made.levels and _has_thin_features(files[0]):
-        made = replace(made, edge_contact=True)
-        files = scene_text.write(arguments.folder, paths, made)
+
+    def hold_ribs(made: Draft, text: str) -> Draft:
+        thin = not made.levels and _has_thin_features(text, arguments.folder)
+        return replace(made, edge_contact=True) if thin else made
+
+    files, made = scene_text.write(arguments.folder, paths, made, hold_ribs)
     _warn(made)
     for line in _lines(made):
         say(line)
     return _say_next(arguments, files, say)
 
 
-def _has_thin_features(path: Path) -> bool:
-    """True if the mold of a scene has sharp edges, and a rib or pin that may pass between the nodes of its sheet."""
+def _has_thin_features(text: str, folder: Path) -> bool:
+    """True if the mold of a scene has sharp edges, and a rib or pin that may pass between the nodes of its sheet.
+
+    Args:
+        text: The scene's file.
+        folder: Folder of the files that it names.
+    """
     from jaxform.io import files, scene_checks
     from jaxform.mesh import topology
 
     with warnings.catch_warnings(), redirect_warnings(lambda _: None):
         warnings.simplefilter("ignore")
         try:
-            scene = files.build_unchecked(files.read_scene(path))
+            scene = files.build_unchecked(files.validate_scene(tomllib.loads(text), "scene.toml", folder.resolve()))
         except InputError:  # `check` says what it is
             return False
     mold = scene.mold

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,11 +32,22 @@ _CONTENT = {
 }
 
 
-def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
-    """Writes a first scene into a folder that is there; returns its files, scene.toml first.
+def write(
+    folder: Path, paths: Sequence[Path], made: Draft, revise: Callable[[Draft, str], Draft] = lambda made, _: made
+) -> tuple[list[Path], Draft]:
+    """Writes a first scene into a folder that is there.
 
     The mold is copied beside the scene: the folder then runs wherever it is put, and a part that is exported again
     does not change a scene whose numbers were made for the one before.
+
+    Args:
+        folder: The folder.
+        paths: The files of the mold.
+        made: The choices.
+        revise: A function for better choices, of these and the text of scene.toml, when the meshes are in the folder.
+
+    Returns:
+        The files, scene.toml first, and the choices that are in them.
 
     Raises:
         InputError: A file cannot be written, or a file of the mold would be overwritten.
@@ -58,11 +69,12 @@ def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
     for name, mesh in added.items():
         with atomic_path(folder / name) as fresh:
             meshes.write_stl(fresh, mesh.positions / (1.0 if name == PLUG else made.scale), mesh.triangles)
+    made = revise(made, scene_text(made, names, plug))
     files = {"scene.toml": scene_text(made, names, plug), "study.toml": study_text(made)}
     for name, text in files.items():
         with atomic_path(folder / name) as fresh:
             fresh.write_text(text, encoding="utf-8")
-    return [folder / name for name in [*files, *copies, *added]]
+    return [folder / name for name in [*files, *copies, *added]], made
 
 
 def _added_meshes(made: Draft) -> dict[str, Mesh]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tomllib
 import warnings
 from collections.abc import Iterator
@@ -143,8 +144,13 @@ def test_a_hole_is_closed_and_what_is_given_counts(tmp_path, capfd):
     np.testing.assert_allclose(lid[..., 2], 0.06, atol=1e-6)
 
 
-def test_a_rib_thinner_than_elements_is_met_by_edge_contact(tmp_path, capfd):
-    """A ring 0.8 mm wide and 18 mm high on the dish's bottom: sides are held at its edges, and nothing warns."""
+def test_a_rib_thinner_than_elements_is_met_by_edge_contact(tmp_path, capfd, monkeypatch):
+    """A ring 0.8 mm wide and 18 mm high on the dish's bottom: sides are held at its edges, and nothing warns.
+
+    Each file is written once, though the scene is built from its mold before it is written.
+    """
+    copied, copy = [], shutil.copyfile
+    monkeypatch.setattr(shutil, "copyfile", lambda source, target: copied.append(target) or copy(source, target))
     rib = [[0.0301, 0.03], [0.0301, 0.012], [0.0309, 0.012], [0.0309, 0.03]]
     for name, ring in (("smooth", []), ("ribbed", rib)):
         shape = molds.revolved(profile=[[0.0, 0.03], *ring, [0.06, 0.03], [0.08, 0.0], [0.1, 0.0]], segments=60)
@@ -155,6 +161,7 @@ def test_a_rib_thinner_than_elements_is_met_by_edge_contact(tmp_path, capfd):
         assert ("edge_contact = true" in (folder / "scene.toml").read_text()) is bool(ring)
         assert ("a rib or pin thinner than elements" in said.out) is bool(ring)
         assert said.err == ""
+    assert len(copied) == 2
     with warnings.catch_warnings():
         warnings.simplefilter("error", InputWarning)
         assert files.load(folder / "scene.toml").solver.edge_contact
