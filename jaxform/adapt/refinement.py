@@ -30,7 +30,7 @@ from jaxform.mechanics import membrane
 from jaxform.mechanics.membrane import Vector, dot, gather, minus
 from jaxform.model.scene import Adaptivity, Refinement, Scene
 from jaxform.model.tables import SHORT_WINDOW, Bend, BisectionHierarchy
-from jaxform.sheet.active_set import ActiveSet, active_set_of, totals_of
+from jaxform.sheet.active_set import ActiveSet, totals_of
 from jaxform.sheet.discretization import (
     NEVER,
     Discretization,
@@ -40,7 +40,7 @@ from jaxform.sheet.discretization import (
     refined_node_capacity,
 )
 from jaxform.sheet.energy_balance import enclosed_volume, kinetic_energy, strain_energy
-from jaxform.sheet.scheme import start_energy, synchronize_velocity
+from jaxform.sheet.scheme import synchronize_velocity
 from jaxform.sheet.state import PackedState, Schedule, State, Status
 from jaxform.tools.search import SearchGrid, cell_of
 
@@ -344,18 +344,13 @@ def _bisect_state(
     new = dataclasses.replace(_inherit_state(new, state, mesh, forest), mesh=mesh)
     energy, volume = _energy_and_volume(state, scene, discrete, differentiable=differentiable)
     new_energy, new_volume = _energy_and_volume(new, scene, body, differentiable=differentiable)
-    # The start of the nodes with the next step misses energy, too; what the last one missed is in the balance already.
-    old_set = active or active_set_of(state, scene, discrete, differentiable=differentiable)
-    new_set = active_set_of(new, scene, body, differentiable=differentiable)
-    missed = jnp.square(before.control.step_length) * start_energy(state, scene, old_set, volume)
-    loss = energy - new_energy - missed
+    loss = energy - new_energy
     made = dataclasses.replace(
         new,
         control=dataclasses.replace(state.control, sharpness=jnp.zeros_like(state.control.sharpness)),
         account=dataclasses.replace(
             state.account,
             refinement_loss=state.account.refinement_loss + loss,
-            started=start_energy(new, scene, new_set, new_volume),
             volume=state.account.volume + new_volume - volume,
         ),
     )

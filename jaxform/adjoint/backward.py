@@ -18,7 +18,7 @@ from jaxform.mechanics.membrane import Vector, dot, unstack_rows, vector
 from jaxform.model.scene import Scene
 from jaxform.sheet.energy_balance import rim_ends, rim_swept_volume
 from jaxform.sheet.packing import Packed
-from jaxform.sheet.scheme import add_gravity
+from jaxform.sheet.scheme import add_gravity, unresolved_factor, unresolved_share
 from jaxform.tools.mold import Mold
 from jaxform.tools.surface_walk import ContactSurface
 
@@ -154,25 +154,28 @@ def add_loss_cotangents(
     corners: Corners,
     load: Load,
     step: AdjointStep,
-    damping: jax.Array,
     now: ReverseWindow,
-    loss: jax.Array,
+    losses: tuple[jax.Array, jax.Array],
 ) -> tuple[BackwardNodes, Corners]:
-    """Adds the contributions of a step's damping loss to the cotangents of its velocities and force.
+    """Adds the contributions of a step's damping loss and unresolved energy to the cotangents of velocities and force.
 
     They need the velocities before the step, hence its force, before the reverse pass over its elements.
     """
     elements = now.packed.elements
     forces, _ = corner_forces(load, elements, corners[3:])
     number, _, _, velocity_step = step
+    half = _half_damping(velocity_step, now.scene.solver.damping)
+    loss, unresolved = losses[0], losses[1] * unresolved_factor(velocity_step, now.length, now.scene)
 
     def compute_block(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
         flies = landed > number
         nodal = add_gravity(gather_shares(forces, own), mass, now.scene.solver.gravity)
         before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now)
-        share = jnp.where(flies, 0.5 * loss * velocity_step * mass * damping, 0.0)
-        more = [share * (v + w) for v, w in zip(before, after, strict=True)]
-        more = [more, force_cotangent(more, compliance, velocity_step, now)]
+        share, missed = jnp.where(flies, loss * half * mass, 0.0), jnp.where(flies, unresolved, 0.0)
+        triples = list(zip(before, after, nodal, strict=True))
+        more = [share * (v + w) + missed * f for v, w, f in triples]
+        power = force_cotangent(more, compliance, velocity_step, now)
+        more = [more, [own + missed * (w - v) for own, (v, w, _) in zip(power, triples, strict=True)]]
         return [[x + own for x, own in zip(*pair, strict=True)] for pair in zip(old, more, strict=True)], []
 
     kept = now.stored_velocities(number + 1)
@@ -193,15 +196,17 @@ def add_weight_cotangents(nodes: BackwardNodes, now: ReverseWindow) -> BackwardN
 
 
 def step_nodes_back(
-    nodes: BackwardNodes, corners: Corners, step: AdjointStep, now: ReverseWindow, loss: jax.Array
+    nodes: BackwardNodes, corners: Corners, step: AdjointStep, now: ReverseWindow, losses: tuple[jax.Array, jax.Array]
 ) -> BackwardNodes:
     """Steps the nodes back by one step, from the cotangents and forces at the elements' corners.
 
+    The losses are the cotangents of damping loss and unresolved energy.
     Nodes that landed in the earlier step are moved by `pull_back_landings`.
     """
     elements, damping = now.packed.elements, now.scene.solver.damping
     number, length, early_velocity_step, velocity_step = step
     half = _half_damping(velocity_step, damping)
+    loss, unresolved = losses[0], losses[1] * unresolved_factor(velocity_step, now.length, now.scene)
 
     def compute_block(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
         at, after, position, velocity, (power,), *more = old
@@ -220,6 +225,8 @@ def step_nodes_back(
             more = [[more[0][0] + rate * damping]]
             sums = [rate * mass - 0.5 * velocity_step / (1.0 + half) * dot(vector(velocity), twice)]
             velocity = [ratio * g + share * both for g, both in zip(velocity, twice, strict=True)]
+        if unresolved_share(now.scene) is not None:
+            velocity = [g - jnp.where(flies, unresolved * f, 0.0) for g, f in zip(velocity, nodal, strict=True)]
         velocity = [g + length * x for g, x in zip(velocity, position, strict=True)]
         velocity = materialize(velocity)
         force = [jnp.where(flies, f, 0.0) for f in force_cotangent(velocity, compliance, early_velocity_step, now)]

@@ -43,7 +43,14 @@ from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import inactive_volume, pack_moving
 from jaxform.sheet.discretization import NEVER, Discretization, RefinedMesh, present_discretization
 from jaxform.sheet.energy_balance import rim_places
-from jaxform.sheet.scheme import WindowTiming, add_gravity, pressures, update_velocity, velocity_steps
+from jaxform.sheet.scheme import (
+    WindowTiming,
+    add_gravity,
+    pressures,
+    unresolved_share,
+    update_velocity,
+    velocity_steps,
+)
 from jaxform.sheet.state import LOSSES, Schedule, State, differentiable_leaves, immobile_nodes
 
 
@@ -247,12 +254,9 @@ def _pull_back_window(kept: _WindowResiduals, cotangents: Cotangents, end: State
     put(begun.account.volume, jnp.where(kept.count > 0, -work * mean[0], end.account.volume))
     if end.account.rim is not None:
         put(begun.account.rim, jnp.where(kept.count > 0, work * mean[0], end.account.rim))
-    if end.account.pre_stretch_work is not None:
-        put(begun.account.pre_stretch_work, end.account.pre_stretch_work)
-    for name, loss in (("released", "contact_loss"), ("started", "refinement_loss")):
-        if (start := getattr(end.account, name)) is not None:
-            missed = getattr(end.account, loss) * jnp.square(kept.length)
-            put(getattr(begun.account, name), jnp.where(kept.count > 0, missed, start))
+    for name in ("pre_stretch_work", "unresolved"):
+        if (passed := getattr(end.account, name)) is not None:
+            put(getattr(begun.account, name), passed)
     for name in ("external_work", *LOSSES):
         put(getattr(begun.account, name), getattr(end.account, name))
     put(of[1].pressure, pull_pressure((back.pressing[:-1], gains))[0])
@@ -322,6 +326,7 @@ def _reverse_steps(
     now, velocities = _begin_reverse_steps(kept, now)
     positions, real = packed.pack(kept.end), now.thickness.dtype
     loss = end.account
+    lost, missed = loss.damping_loss, jnp.zeros((), real) if loss.unresolved is None else loss.unresolved
     rim, places = _rim_cotangents(kept, end, mean), rim_places(scene, kept.mesh, packed)
     thickens = cotangents.want(of[2].thickness)
     presses, zones = cotangents.want(of[1].pressure), now.material.zones
@@ -371,11 +376,10 @@ def _reverse_steps(
             now.velocity_step[n],
         )
         load = Load(nodes.at, now.thickness, now.pressure[n], now.material)
-        damping = scene.solver.damping
-        if damping is not None:
+        if unresolved_share(scene) is not None:
             nodes, corners = lax_cond_once(
-                loss.damping_loss != 0.0,
-                lambda both: add_loss_cotangents(*both, load, step, damping, now, loss.damping_loss),
+                (lost != 0.0) | ((missed != 0.0) & (now.velocity_step[n] != now.length)),
+                lambda both: add_loss_cotangents(*both, load, step, now, (lost, missed)),
                 (nodes, corners),
             )
         nodes = add_weight_cotangents(nodes, now)
@@ -388,7 +392,7 @@ def _reverse_steps(
         if varies:
             law = {name: carry.law[name] + more for name, more in zip(single, sums, strict=True)}
         after = None if places is None else rim_end_positions(nodes, places)
-        nodes = step_nodes_back(nodes, corners, step, now, loss.damping_loss)
+        nodes = step_nodes_back(nodes, corners, step, now, (lost, missed))
         if now.curved is not None:
             displace = functools.partial(displace_landed_nodes, step=step, now=now)
             nodes = lax_cond_once(lands[n - 2], displace, nodes)

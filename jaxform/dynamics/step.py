@@ -46,7 +46,14 @@ from jaxform.mechanics.membrane import vector
 from jaxform.model.field import Surroundings, advance_fields
 from jaxform.model.scene import Scene
 from jaxform.sheet.energy_balance import pressure_at, pressure_work, rim_ends, rim_swept_volume
-from jaxform.sheet.scheme import add_by_tool, add_gravity, apply_tool_velocity, update_velocity
+from jaxform.sheet.scheme import (
+    add_by_tool,
+    add_gravity,
+    apply_tool_velocity,
+    unresolved_energy,
+    unresolved_share,
+    update_velocity,
+)
 from jaxform.tools.mold import ToolFrame, tool_velocity
 
 
@@ -105,6 +112,7 @@ def step(
             load_state=jax.tree.map(lambda old, new: jnp.where(current.halted, old, new), last, load_state),
             external_work=account.external_work + pressure_work(mean_pressure, swept),
             damping_loss=account.damping_loss + advanced.loss,
+            unresolved=None if account.unresolved is None else account.unresolved + advanced.unresolved,
             tool_work=None if account.tool_work is None else account.tool_work + advanced.work,
             contact_loss=account.contact_loss if advanced.slid is None else account.contact_loss + advanced.impact,
             friction_loss=None if account.friction_loss is None else account.friction_loss + advanced.friction,
@@ -243,6 +251,7 @@ class _AdvancedNodes(NamedTuple):
         friction, impact: Losses of sliding nodes by friction and by impact [J].
         slid: Contact of nodes that may have slid; None where no node can slide.
         by_tool: Work and friction of each tool.
+        unresolved: Energy that the step misses, as in `scheme.unresolved_energy` [J].
     """
 
     positions: jax.Array | membrane.Vector
@@ -256,6 +265,7 @@ class _AdvancedNodes(NamedTuple):
     impact: jax.Array | float = 0.0
     slid: _SlideContact | None = None
     by_tool: ToolEnergies = ToolEnergies()
+    unresolved: jax.Array | float = 0.0
 
 
 def _no_energies(scene: Scene, real: Any) -> ToolEnergies:
@@ -279,6 +289,10 @@ def _advance_nodes(
     nodes = state.stuck, data.active.mass, data.active.compliance
     velocities, losses = update_velocity(nodal, state.velocities, nodes, velocity_step, scene.solver.damping)
     work: jax.Array | float = 0.0
+    missed: jax.Array | float = 0.0
+    if unresolved_share(scene) is not None:
+        free, both = ~state.stuck & (state.wall == 0), (state.velocities, velocities)
+        missed = total(unresolved_energy(nodal, both, free, (velocity_step, length), scene))
     by_tool = _no_energies(scene, state.velocities.dtype)
     carrier = tool_velocity(frames, state.tool)
     if carrier is not None:
@@ -298,7 +312,9 @@ def _advance_nodes(
     if modes is not None and data.recursion is not None:
         history = update_history(load, data.active.packed.elements, modes, data.recursion)
     loss = total(losses) if losses is not None else 0.0
-    advanced = _AdvancedNodes(positions, jnp.stack(velocities), volume, loss, None, history, work, by_tool=by_tool)
+    advanced = _AdvancedNodes(
+        positions, jnp.stack(velocities), volume, loss, None, history, work, by_tool=by_tool, unresolved=missed
+    )
     if state.slip is None:
         return advanced
     sliding = sliding_nodes(state.stuck, state.wall) & ~current.halted
@@ -343,7 +359,12 @@ def _advance_nodes_in_blocks(
     else:
         corners, volume, history = viscous_corner_forces(load, elements, corners, modes, data.recursion)
     nodes = current.nodes.stuck, data.active.mass, data.active.compliance
-    state = current.nodes
+    state, missed = current.nodes, 0.0
+    if unresolved_share(scene) is not None:
+        missed = _unresolved_energy(corners, current, (velocity_step, length), scene, data)
+        # All is read before anything is written (docs/explanation/kernels.md).
+        missed, both = materialize((missed, (state.positions, state.velocities)))
+        state = dataclasses.replace(state, positions=both[0], velocities=both[1])
     moves, slides = any(frame is not None for frame in frames), scene.slides
 
     surfaces, damping, moving_tools = scene.surfaces, scene.solver.damping, scene.moving_tools
@@ -413,13 +434,31 @@ def _advance_nodes_in_blocks(
     advanced = _AdvancedNodes(
         vector(row for (row,) in new[:3]), new[3], volume, loss, corners, history, sums[0] if moves else 0.0
     )
-    advanced = advanced._replace(by_tool=ToolEnergies(*_split_at(sums[moves : moves + split_count], len(moving_tools))))
+    by_tool = ToolEnergies(*_split_at(sums[moves : moves + split_count], len(moving_tools)))
+    advanced = advanced._replace(by_tool=by_tool, unresolved=missed)
     if not slides:
         return advanced
     friction, impact, walking = sums[-3:]
     contact = _SlideContact(state.wall, state.contact_time, new[4][0], jnp.zeros_like(state.stuck), current.facets)
     advanced = advanced._replace(friction=friction, impact=impact, slid=contact)
     return _walk_nodes(advanced, current, new[5][0], walking > 0.0, (velocity_step, length), scene, data, frames)
+
+
+def _unresolved_energy(
+    corners: Corners, current: WindowState, steps: tuple[jax.Array, jax.Array], scene: Scene, data: WindowData
+) -> jax.Array:
+    """The sum of `unresolved_energy` [J], by a pass over no nodes where the step is as long as the one before."""
+    own, elements = current.nodes, data.active.packed.elements
+
+    def sum_block(table: Any, nodes: Any, before: Any, wall: Any) -> Any:
+        nodal = add_gravity(gather_shares(corners, table), nodes[1], scene.solver.gravity)
+        after, _ = update_velocity(nodal, before, nodes, steps[0], scene.solver.damping)
+        return [], [unresolved_energy(nodal, (before, after), ~nodes[0] & (wall == 0), steps, scene)]
+
+    nodes = own.stuck, data.active.mass, data.active.compliance
+    inputs = gather_table(elements), nodes, own.velocities, own.wall
+    count = jnp.where(steps[0] == steps[1], 0, elements.node_block_count)
+    return over_blocks(sum_block, count, inputs, [], sums=1)[1][0]
 
 
 def _split_at(values: list[jax.Array], place: int) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:

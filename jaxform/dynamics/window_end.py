@@ -47,7 +47,7 @@ def end_window(
     """The state at the window's end, or where the window is rejected that at its begin, to be retried."""
     kinetic, behind, largest, tool = end
     account = dataclasses.replace(current.account, gravity_work=_add_gravity_work(state, current, scene, data))
-    account = _add_missed_starts(account, data.length)
+    account = dataclasses.replace(account, restarts=_add_restart(state, account))
     work = jax.lax.stop_gradient(account.work)
     new = dataclasses.replace(
         state,
@@ -117,23 +117,22 @@ def end_window(
     )
 
 
-def _add_missed_starts(account: EnergyBalance, length: jax.Array) -> EnergyBalance:
-    """The balance with the error of the kinetic energy of nodes set in motion, whose first step is `length` [s]."""
-    for name, loss in (("released", "contact_loss"), ("started", "refinement_loss")):
-        if (start := getattr(account, name)) is not None:
-            missed = start * jnp.square(length)
-            account = dataclasses.replace(
-                account, **{loss: getattr(account, loss) + missed, name: jnp.zeros_like(missed)}
-            )
-    return account
+def _add_restart(state: PackedState, account: EnergyBalance) -> jax.Array | None:
+    """`EnergyBalance.restarts` [J] after the window that a state begins, with the account at its end."""
+    before, after = state.account.unresolved, account.unresolved
+    if account.restarts is None or before is None or after is None:
+        return None
+    anew = (state.control.step_length == 0.0) & (state.steps > 0)
+    return account.restarts + jnp.where(anew, jax.lax.stop_gradient(after - before), 0.0)
 
 
 def _jump_tolerance(state: PackedState, scene: Scene) -> jax.Array | float:
     """Share of the largest work that one window may miss before it is retried with shorter steps."""
-    released = state.account.released
-    if released is None or conserves_energy(scene):
+    until, control = scene.parison.clamp_until, state.control
+    if until is None or conserves_energy(scene):
         return _JUMP_TOLERANCE
-    return jnp.where(released > 0.0, _RELEASE_TOLERANCE, _JUMP_TOLERANCE)
+    opens = (control.step_length == 0.0) & (jnp.abs(state.time - until) <= SLACK * control.last_length)
+    return jnp.where(opens, _RELEASE_TOLERANCE, _JUMP_TOLERANCE)
 
 
 def _add_gravity_work(state: PackedState, current: WindowState, scene: Scene, data: WindowData) -> jax.Array | None:
@@ -247,7 +246,9 @@ def _health(
     energy, volume = element_energy(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)
     strain, volume = energy + active.inactive_energy, volume + active.inactive_volume
     kinetic, _, largest, _ = end
-    held = strain + kinetic + sum(state.account.losses().values())
+    # Without what the first step and changes of the step do not resolve: where that is much, the step is too long.
+    restarts = 0.0 if state.account.restarts is None else state.account.restarts
+    held = strain + kinetic + sum(state.account.losses().values()) + restarts
     excess = held - state.account.work - last_work(state, scene, volume)
     # False for NaN as well, where energies overflow, and where energy vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding

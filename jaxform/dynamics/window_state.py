@@ -24,6 +24,7 @@ from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.discretization import RefinedMesh, discretize, present_discretization
 from jaxform.sheet.energy_balance import enclosed_volume, strain_energy
 from jaxform.sheet.heat import ThermalState, initial_heat
+from jaxform.sheet.scheme import begins_anew, unresolved_share
 from jaxform.sheet.state import (
     Control,
     EnergyBalance,
@@ -205,8 +206,8 @@ def initial_state(scene: Scene) -> State:
             gravity_work=None if scene.solver.gravity is None else zero,
             by_tool=ToolEnergies(*((zero,) * len(numbers) for numbers in (scene.moving_tools, scene.rubbing_tools))),
             last_by_tool=(zero,) * len(scene.moving_tools),
-            released=None if scene.parison.clamp_until is None else zero,
-            started=None if mesh is None else zero,
+            unresolved=None if unresolved_share(scene) is None else zero,
+            restarts=zero if begins_anew(scene) else None,
         ),
         control=Control(
             step_length=zero,

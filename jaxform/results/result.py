@@ -27,7 +27,7 @@ from jaxform.sheet.energy_balance import (
     strain_energy,
 )
 from jaxform.sheet.heat import ThermalState, temperature_change, tool_contact
-from jaxform.sheet.scheme import kinetic_energies
+from jaxform.sheet.scheme import present_energies
 from jaxform.sheet.state import LOSS, Schedule, State, Status, WindowLog, is_at_rest, is_finished
 
 # The energy balance of a run, and its checks.
@@ -47,11 +47,10 @@ class Energy:
         tool_work: Work of tools that move.
         gravity_work: Work of gravity.
         pre_stretch_work: Strain energy of the pre-stretched sheet at the start.
-        damping_loss: Work done against damping.
-        contact_loss: Kinetic energy of the nodes when they stuck, and what the first step of nodes misses that a clamp
-            let go.
-        refinement_loss: Strain and kinetic energy that new nodes took away, with what the time step misses of the
-            energy of modes that they set in motion.
+        damping_loss: Work done against damping, with the energy of modes that a jump of the forces excites and the
+            time step does not resolve.
+        contact_loss: Kinetic energy of the nodes when they stuck.
+        refinement_loss: Strain and kinetic energy that new nodes took away.
         viscous_loss: Dissipation of the Prony terms.
         cooling_loss: Strain energy lost as the temperature softened the sheet, minus that gained as it stiffened.
         friction_loss: Dissipation by friction on tools.
@@ -330,14 +329,21 @@ def _energy_of(state: State, scene: Scene, first: Discretization, now: Discretiz
     """The energy balance of a state that encloses a volume [m^3], of the initial sheet and that with its mesh."""
     account = state.account
     none = dict.fromkeys(("viscous_loss", "cooling_loss", "friction_loss"), jnp.zeros_like(state.time))
+    kinetic, damped = _kinetic_energy(state, scene, now)
+    # Damping takes the energy of fast modes that the steps do not resolve; without damping the modes keep it.
+    if scene.solver.damping is None:
+        kinetic += _or_zero(account.unresolved)
+    else:
+        damped += _or_zero(account.unresolved)
+    losses = account.losses() | {"damping_loss": account.damping_loss + damped}
     return Energy(
         strain=strain_energy(state, scene, now),
-        kinetic=_kinetic_energy(state, scene, now),
+        kinetic=kinetic,
         external_work=account.external_work + last_work(state, scene, volume),
         tool_work=_or_zero(account.total_tool_work),
         gravity_work=_or_zero(account.gravity_work),
         pre_stretch_work=_or_zero(account.pre_stretch_work),
-        **(none | account.losses()),
+        **(none | losses),
         kinetic_peak=account.kinetic_peak,
         peak_work=jax.lax.stop_gradient(account.peak_work),
         rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),
@@ -372,12 +378,12 @@ def _touched_tool(nodes: Nodes) -> jax.Array:
     return jnp.where(nodes.wall == 0, -1, 0 if nodes.tool is None else nodes.tool)
 
 
-def _kinetic_energy(state: State, scene: Scene, now: Discretization) -> jax.Array:
-    """Kinetic energy [J] at the last window's end, as the energy balance has it, with its derivative."""
-    found, exchanged = kinetic_energies(state, scene, now)
+def _kinetic_energy(state: State, scene: Scene, now: Discretization) -> tuple[jax.Array, jax.Array | float]:
+    """Kinetic energy at the last window's end and the damping loss before it [J], as the balance has them."""
+    found, exchanged, damped = present_energies(state, scene, now)
     # The same to rounding, but of a sheet that was refined or retried since: the value is the balance's.
     value = kinetic_energy(state, now.mass) - state.account.kinetic_excess
-    return jax.lax.stop_gradient(value - found) + found + exchanged
+    return jax.lax.stop_gradient(value - found) + found + exchanged, damped
 
 
 def _or_zero(term: jax.Array | None) -> jax.Array:

@@ -87,6 +87,61 @@ def update_velocity(
     return new, velocity_step * damping * mass * membrane.dot(mean, mean)
 
 
+def unresolved_energy(
+    nodal: Any,
+    velocities: tuple[Any, Any],
+    free: jax.Array,
+    steps: tuple[jax.Array, jax.Array],
+    scene: Scene,
+) -> jax.Array:
+    """Energy (n,) [J] that the balance misses by a velocity update between steps of different length.
+
+    The kinetic energy of the balance is the product of the velocities half a step before and half a step after the
+    positions. A linear mode keeps it at a constant step h, but it is less than m v^2 / 2 by h^2 m a^2 / 8. So an update
+    from a step h1 to a step h2, with forces f, misses (h2^2 - h1^2) f a / 8: at a start h1 = 0, and h2 = 0 where the
+    velocity is brought to the time of the positions. docs/explanation/method.md has the derivation.
+
+    Args:
+        nodal: Forces, three times (n,) [N].
+        velocities: Velocities before and after the update, three times (n,) each [m/s].
+        free: Nodes (n,) that touch no tool; on the others the tool bears the force.
+        steps: Time step of the velocity update, and length of the step that it begins [s]: 0 where it begins none.
+        scene: The scene.
+    """
+    before, after = map(vector, velocities)
+    return jnp.where(free, unresolved_factor(*steps, scene) * membrane.dot(nodal, membrane.minus(after, before)), 0.0)
+
+
+def unresolved_factor(velocity_step: jax.Array, length: jax.Array, scene: Scene) -> jax.Array:
+    """Factor [s] of force times change of velocity in `unresolved_energy`; 0 where there is no update.
+
+    With the step's time s = (h1 + h2) / 2 and the change a s, (h2^2 - h1^2) f a / 8 is (h2 - s) f a s / 2.
+    """
+    counts = velocity_step > 0.0
+    if conserves_energy(scene):
+        # Where the step only changes, a sheet in motion misses what `present_energies` adds as well, and less of it.
+        counts &= (length == 0.0) | (length == 2.0 * velocity_step)
+    return jnp.where(counts, 0.5 * (unresolved_share(scene) or 0.0) * (length - velocity_step), 0.0)
+
+
+def unresolved_share(scene: Scene) -> float | None:
+    """Share of the energy by `unresolved_energy` that the kinetic energy misses; None where it is not counted.
+
+    It is counted where damping takes it in the end, and where motion begins anew as a clamp opens or new nodes are
+    inserted. An undamped sheet misses a third of it, see `present_energies`.
+    """
+    if scene.solver.damping is not None:
+        return 1.0
+    if not begins_anew(scene):
+        return None
+    return 1.0 / 3.0 if conserves_energy(scene) else 1.0
+
+
+def begins_anew(scene: Scene) -> bool:
+    """True where motion begins anew during a run: as a clamp opens, and as new nodes are inserted."""
+    return scene.parison.clamp_until is not None or scene.adaptivity is not None
+
+
 def apply_tool_velocity(
     nodal: Any,
     velocities: tuple[Any, Any],
@@ -131,8 +186,10 @@ def conserves_energy(scene: Scene) -> bool:
     return lossless and not scene.slides and not scene.moves and not scene.pressure.follows_volume
 
 
-def kinetic_energies(state: State, scene: Scene, discrete: Discretization) -> tuple[jax.Array, jax.Array]:
-    """Kinetic energy [J] at the time of the positions, and what modes gain as they exchange it; both differentiable.
+def present_energies(state: State, scene: Scene, discrete: Discretization) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Energies [J] at the time of the positions that need the next velocities; differentiable.
+
+    They are the kinetic energy, what modes gain as they exchange it, and the damping loss of the last half step.
 
     The first is that of the product of the velocities half a step before and half a step after, which a linear mode
     keeps. The second is that of an undamped sheet, 0 if a sheet is damped. The scheme keeps the energy of a Hamiltonian
@@ -149,16 +206,19 @@ def kinetic_energies(state: State, scene: Scene, discrete: Discretization) -> tu
     nodal = _present_force(packed, scene, active, pressure)
     nodes, before = (packed.nodes.stuck, active.mass, active.compliance), packed.nodes.velocities
     after, _ = update_velocity(nodal, before, nodes, length, scene.solver.damping)
-    carrier = tool_velocity(scene.frames(state.time, state.time + length), packed.nodes.tool)
+    carrier, damped = tool_velocity(scene.frames(state.time, state.time + length), packed.nodes.tool), active.mass
     if carrier is not None:
-        after, _, _ = apply_tool_velocity(nodal, (before, after), nodes, packed.nodes.wall, length, carrier)
+        after, held, _ = apply_tool_velocity(nodal, (before, after), nodes, packed.nodes.wall, length, carrier)
+        damped = jnp.where(held, 0.0, damped)
 
     def total(mass: jax.Array | float, first: Any, second: Any) -> jax.Array:
         return jnp.sum(jnp.where(active.packed.exists, mass * membrane.dot(first, second), 0.0))
 
     kinetic = 0.5 * total(active.mass, before, after)
     if not conserves_energy(scene):
-        return kinetic, jnp.zeros_like(kinetic)
+        rate = 0.0 if scene.solver.damping is None else scene.solver.damping
+        lost = 0.25 * rate * length * total(damped, before, jnp.stack(after) + before)
+        return kinetic, jnp.zeros_like(kinetic), lost
     mean, gain = (0.5 * (jnp.stack(after) + before), jnp.stack(after) - before)
 
     def force_at(way: jax.Array) -> Any:
@@ -166,7 +226,7 @@ def kinetic_energies(state: State, scene: Scene, discrete: Discretization) -> tu
         return _present_force(moved, scene, active, pressure)
 
     pull = jnp.stack(force_at(-0.5 * length * mean)) - jnp.stack(force_at(0.5 * length * mean))
-    return kinetic, (length * total(1.0, mean, pull) + total(active.mass, gain, gain)) / 12.0
+    return kinetic, (length * total(1.0, mean, pull) + total(active.mass, gain, gain)) / 12.0, jnp.zeros_like(kinetic)
 
 
 def synchronize_velocity(
@@ -193,14 +253,18 @@ def _synchronize(packed: PackedState, scene: Scene, active: ActiveSet, volume: j
     """`synchronize_velocity` of a state in packed order, which encloses a volume [m^3]."""
     control, account = packed.control, packed.account
     pressed = present_pressure(packed, scene, volume)
-    nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
+    nodes, half = (packed.nodes.stuck, active.mass, active.compliance), 0.5 * control.step_length
     nodal = _present_force(packed, scene, active, pressed.pressure)
-    velocities, losses = update_velocity(nodal, packed.nodes.velocities, nodes, 0.5 * control.step_length, damping)
+    velocities, losses = update_velocity(nodal, packed.nodes.velocities, nodes, half, scene.solver.damping)
+    missed: jax.Array | float = 0.0
+    if account.unresolved is not None:
+        both, free = (packed.nodes.velocities, velocities), ~packed.nodes.stuck & (packed.nodes.wall == 0)
+        missed = jnp.sum(unresolved_energy(nodal, both, free, (half, jnp.zeros_like(half)), scene))
     work, by_tool = account.tool_work, account.by_tool
     if work is not None:
         before = packed.nodes.velocities
         velocities, held, done = apply_tool_velocity(
-            nodal, (before, velocities), nodes, packed.nodes.wall, 0.5 * control.step_length, before
+            nodal, (before, velocities), nodes, packed.nodes.wall, half, before
         )
         by_tool = add_by_tool(by_tool, scene, packed.nodes.tool, done)
         work, losses = work + jnp.sum(done), None if losses is None else jnp.where(held, 0.0, losses)
@@ -222,6 +286,8 @@ def _synchronize(packed: PackedState, scene: Scene, active: ActiveSet, volume: j
             load_state=None if account.load_state is None else pressed,
             external_work=account.external_work + last_work(packed, scene, volume),
             damping_loss=account.damping_loss + lost,
+            unresolved=None if account.unresolved is None else account.unresolved + missed,
+            restarts=None if account.restarts is None else account.restarts + jax.lax.stop_gradient(missed),
             friction_loss=friction,
             contact_loss=impact,
             tool_work=work,
@@ -230,29 +296,6 @@ def _synchronize(packed: PackedState, scene: Scene, active: ActiveSet, volume: j
         ),
     )
     return PackedState(made)
-
-
-def start_energy(state: State, scene: Scene, active: ActiveSet, volume: jax.Array) -> jax.Array:
-    """Energy over the squared step that the product of velocities misses if nodes start here [kg m^2/s^4].
-
-    Args:
-        state: In the mesh's order, with velocities at the time of the positions.
-        scene: The scene.
-        active: An active set with all elements that can move.
-        volume: The volume that the sheet encloses [m^3].
-    """
-    packed = active.pack_state(state)
-    nodal = _present_force(packed, scene, active, present_pressure(state, scene, volume).pressure)
-    # A tool bears the force on nodes that slide on it.
-    free = ~packed.nodes.stuck & (packed.nodes.wall == 0)
-    return _start_energy(nodal, scene, active, free)
-
-
-def _start_energy(nodal: Any, scene: Scene, active: ActiveSet, counted: jax.Array) -> jax.Array:
-    """`start_energy` of the nodes that count (n,), with forces three times (n,) [N]."""
-    squares = membrane.dot(nodal, vector(f * c for f, c in zip(nodal, active.compliance, strict=True)))
-    share = 1.0 / 24.0 if conserves_energy(scene) else 1.0 / 8.0
-    return share * jnp.sum(jnp.where(counted, squares, 0.0))
 
 
 def open_clamp_of(state: State, scene: Scene, discrete: Discretization) -> State:
@@ -272,11 +315,6 @@ def open_clamp(state: PackedState, scene: Scene, active: ActiveSet, *, different
     """The state at a window boundary, in which clamped nodes are free from the time on at which the clamp opens.
 
     They begin at rest. One that was in contact with a tool at rest from the start is held by that from now on.
-
-    The kinetic energy is the product of the velocities half a step before and half a step after the positions. Of nodes
-    at rest that an acceleration a sets in motion these are -h a / 2 and h a / 2: a linear mode keeps this energy, which
-    misses m (h a)^2 / 8 of what the clamp held, and with what `kinetic_energies` adds for undamped sheets a third of
-    that. With the next step h it is accounted for at the window's end.
     """
     if scene.parison.clamp_until is None:
         return state
@@ -284,8 +322,7 @@ def open_clamp(state: PackedState, scene: Scene, active: ActiveSet, *, different
     node = active.packed.node if state.mesh is None else state.mesh.node[active.packed.node]
 
     def open_now(state: PackedState) -> PackedState:
-        volume = active.volume(state.nodes.positions)
-        state = _synchronize(state, scene, active, volume)
+        state = _synchronize(state, scene, active, active.volume(state.nodes.positions))
         nodes = state.nodes
         stuck, since, wall, tool = initial_node_state(scene, node, opened=True)
         new = dataclasses.replace(
@@ -297,10 +334,7 @@ def open_clamp(state: PackedState, scene: Scene, active: ActiveSet, *, different
         )
         # The fastest mode of the sheet may be another from now on.
         control = dataclasses.replace(state.control, sharpness=jnp.zeros_like(state.control.sharpness))
-        nodal = _present_force(state, scene, active, present_pressure(state, scene, volume).pressure)
-        released = _start_energy(nodal, scene, active, freed & ~stuck)
-        account = dataclasses.replace(state.account, released=released)
-        return PackedState(dataclasses.replace(state, nodes=new, control=control, account=account))
+        return PackedState(dataclasses.replace(state, nodes=new, control=control))
 
     return lax_cond_once(jnp.any(freed), open_now, state, differentiable=differentiable)
 

@@ -96,10 +96,8 @@ class EnergyBalance:
         volume: Enclosed before the last step [m^3]; where loads push regions of the sheet, by each of these (n_load,).
         load_state: State of the loading before the last step; None where the pressure depends on the time alone.
         external_work: Work of the pressure: its forces times the nodes' displacements.
-        damping_loss, contact_loss: Dissipated by damping, and by impacts on the mold; the second with what the scheme's
-            product of velocities misses of nodes that a clamp let go.
-        refinement_loss: Strain and kinetic energy that new nodes took away, with what the scheme's product of
-            velocities misses as the nodes are set in motion again.
+        damping_loss, contact_loss: Dissipated by damping, and by impacts on the mold.
+        refinement_loss: Strain and kinetic energy that new nodes took away.
         peak_work: Largest magnitude of the external work.
         kinetic_peak: Largest kinetic energy at the end of a window.
         kinetic_excess: Kinetic energy half a step before the last window's end, less that at its end.
@@ -115,9 +113,9 @@ class EnergyBalance:
         pre_stretch_work: Strain energy of the pre-stretched sheet when the run begins; None where it has no stress.
         by_tool: The parts of `tool_work` and `friction_loss` of each tool, where these are counted for each.
         last_by_tool: The same of `tool_last`.
-        released: Energy over the squared step that the start of nodes misses which the clamp let go [kg m^2/s^4], until
-            the next window is taken; None where no clamp opens.
-        started: The same of all nodes after new ones were inserted; None without refinement.
+        unresolved: Energy that steps do not resolve, as in `scheme.unresolved_energy`; None where it is not counted.
+        restarts: The part of it from where motion began anew after the run's begin, as nodes were inserted or a clamp
+            opened; None where neither happens. Windows that miss much of the rest are retried with shorter steps.
     """
 
     volume: jax.Array
@@ -140,8 +138,8 @@ class EnergyBalance:
     friction_loss: jax.Array | None = dataclasses.field(default=None, metadata=LOSS)
     by_tool: ToolEnergies = ToolEnergies()
     last_by_tool: tuple[jax.Array, ...] = ()
-    released: jax.Array | None = None
-    started: jax.Array | None = None
+    unresolved: jax.Array | None = None
+    restarts: jax.Array | None = None
 
     def swept_volume(self, volume: jax.Array) -> jax.Array:
         """Volume swept by the sheet since the begin of the last step [m^3], with the present enclosed volume [m^3]."""
@@ -361,7 +359,7 @@ def differentiable_leaves(state: State) -> State:
     terms = dict.fromkeys(("volume", "external_work", *state.account.losses()), True)
     if state.account.tool_work is not None:
         terms |= {"tool_work": True, "tool_last": True}
-    optional = ("rim", "gravity_work", "pre_stretch_work", "released", "started")
+    optional = ("rim", "gravity_work", "pre_stretch_work", "unresolved")
     terms |= {name: True for name in optional if getattr(state.account, name) is not None}
     by_tool: Any = jax.tree.map(lambda _: True, (state.account.by_tool, state.account.last_by_tool))
     account = dataclasses.replace(

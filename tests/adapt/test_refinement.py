@@ -336,7 +336,7 @@ def test_a_replay_is_smooth_along_a_line(scene: Scene, live: Result) -> None:
 
 @pytest.mark.long
 def test_a_sheet_that_is_refined_in_fast_flight_has_exact_gradients() -> None:
-    """A disc under a sudden pressure: its wall, the work, and what new nodes take away."""
+    """A disc under a sudden pressure: its wall, the work, and what damping and new nodes take away."""
     sheet = jaxform.shapes.disc(radius=1.0, elements=40, symmetry="quarter")
     scene = jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
@@ -350,7 +350,8 @@ def test_a_sheet_that_is_refined_in_fast_flight_has_exact_gradients() -> None:
 
     def shares(part: Result) -> jax.Array:
         energy = part.energy
-        return jnp.stack([energy.refinement_loss, energy.external_work, jnp.sum(jnp.square(part.thickness))])
+        losses = energy.refinement_loss, energy.damping_loss
+        return jnp.stack([*losses, energy.external_work, jnp.sum(jnp.square(part.thickness))])
 
     @jax.jit
     def measure(thickness: jax.Array) -> jax.Array:
