@@ -70,8 +70,8 @@ def refine(
     else:
         due, wanted = _is_due(state, adaptivity), functools.partial(_requested_queue, scene=scene)
 
-    def refine_now(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
-        state, body = now
+    def refine_now(pair: tuple[State, Discretization]) -> tuple[State, Discretization]:
+        state, body = pair
         state = dataclasses.replace(state, mesh=add_sides(state.refined_mesh, adaptivity[1]))
         state, body = _bisect_queue(state, scene, adaptivity, body, *wanted(state, body, adaptivity), None)
         return drop_sides(state), body
@@ -95,8 +95,8 @@ def refine_in_place(
     if state.mesh is None or adaptivity is None:
         return state, discrete, active
 
-    def refine_now(now: Any) -> tuple[PackedState, Discretization, Any]:
-        packed, body, _ = now
+    def refine_now(pair: Any) -> tuple[PackedState, Discretization, Any]:
+        packed, body, _ = pair
         state = active.unpack_state(packed)
         state, body = _bisect_queue(
             state, scene, adaptivity, body, *_requested_queue(state, body, adaptivity, scene), active
@@ -307,8 +307,8 @@ def _bisect_queue(
     full = jnp.where(fits, 0, Status.REFINEMENT_OVERFLOW).astype(state.status.dtype)
     state = dataclasses.replace(state, status=state.status | full)
 
-    def bisect(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
-        state, body = now
+    def bisect(pair: tuple[State, Discretization]) -> tuple[State, Discretization]:
+        state, body = pair
         return _bisect_state(state, scene, adaptivity, body, split_at, queue, active)
 
     return lax_cond_once(

@@ -117,7 +117,7 @@ def _velocities_before(
     speeds: Any,
     node: tuple[jax.Array, Any],
     velocity_step: jax.Array,
-    now: ReverseWindow,
+    window: ReverseWindow,
 ) -> Vector:
     """Velocities before a step, three times (n,), by inverting its velocity update; or the stored ones.
 
@@ -127,10 +127,10 @@ def _velocities_before(
         speeds: Stored velocities before the step [m/s]; None where none are stored.
         node: True where nodes are free in the step, and their compliance [1/kg].
         velocity_step: Time step of the velocity update [s].
-        now: Constants of the window.
+        window: Constants of the window.
     """
     flies, compliance = node
-    half = _half_damping(velocity_step, now.scene.solver.damping)
+    half = _half_damping(velocity_step, window.scene.solver.damping)
     rest = 1.0 / (1.0 - half)
 
     def invert_update(v: jax.Array, f: jax.Array, c: jax.Array) -> jax.Array:
@@ -139,13 +139,15 @@ def _velocities_before(
 
     found = [invert_update(*each) for each in zip(after, nodal, compliance, strict=True)]
     if speeds is not None:
-        found = [jnp.where(now.keeps, old, v) for old, v in zip(speeds, found, strict=True)]
+        found = [jnp.where(window.keeps, old, v) for old, v in zip(speeds, found, strict=True)]
     return vector(found)
 
 
-def force_cotangent(velocities: Any, compliance: Any, velocity_step: jax.Array, now: ReverseWindow) -> list[jax.Array]:
+def force_cotangent(
+    velocities: Any, compliance: Any, velocity_step: jax.Array, window: ReverseWindow
+) -> list[jax.Array]:
     """Cotangents of the force in a step, from those of the velocities after it."""
-    factor = velocity_step / (1.0 + _half_damping(velocity_step, now.scene.solver.damping))
+    factor = velocity_step / (1.0 + _half_damping(velocity_step, window.scene.solver.damping))
     return [factor * c * g for g, c in zip(velocities, compliance, strict=True)]
 
 
@@ -154,66 +156,70 @@ def add_loss_cotangents(
     corners: Corners,
     load: Load,
     step: AdjointStep,
-    now: ReverseWindow,
+    window: ReverseWindow,
     losses: tuple[jax.Array, jax.Array],
 ) -> tuple[BackwardNodes, Corners]:
     """Adds the contributions of a step's damping loss and unresolved energy to the cotangents of velocities and force.
 
     They need the velocities before the step, hence its force, before the reverse pass over its elements.
     """
-    elements = now.packed.elements
+    elements = window.packed.elements
     forces, _ = corner_forces(load, elements, corners[3:])
     number, _, _, velocity_step = step
-    half = _half_damping(velocity_step, now.scene.solver.damping)
-    loss, unresolved = losses[0], losses[1] * unresolved_factor(velocity_step, now.length, now.scene)
+    half = _half_damping(velocity_step, window.scene.solver.damping)
+    loss, unresolved = losses[0], losses[1] * unresolved_factor(velocity_step, window.length, window.scene)
 
     def compute_block(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
         flies = landed > number
-        nodal = add_gravity(gather_shares(forces, own), mass, now.scene.solver.gravity)
-        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now)
+        nodal = add_gravity(gather_shares(forces, own), mass, window.scene.solver.gravity)
+        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, window)
         share, missed = jnp.where(flies, loss * half * mass, 0.0), jnp.where(flies, unresolved, 0.0)
         triples = list(zip(before, after, nodal, strict=True))
         more = [share * (v + w) + missed * f for v, w, f in triples]
-        power = force_cotangent(more, compliance, velocity_step, now)
+        power = force_cotangent(more, compliance, velocity_step, window)
         more = [more, [own + missed * (w - v) for own, (v, w, _) in zip(power, triples, strict=True)]]
         return [[x + own for x, own in zip(*pair, strict=True)] for pair in zip(old, more, strict=True)], []
 
-    kept = now.stored_velocities(number + 1)
-    inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, nodes.speeds, kept
+    kept = window.stored_velocities(number + 1)
+    inputs = gather_table(elements), window.landing_step, window.mass, window.compliance, nodes.speeds, kept
     into = [nodes.velocities, nodes.force]
     new, _ = over_blocks(compute_block, elements.node_block_count, inputs, into, update=2)
     return nodes._replace(velocities=new[0], force=new[1]), [*corners[:3], *forces]
 
 
-def add_weight_cotangents(nodes: BackwardNodes, now: ReverseWindow) -> BackwardNodes:
+def add_weight_cotangents(nodes: BackwardNodes, window: ReverseWindow) -> BackwardNodes:
     """Adds the contributions of a step's weight to the cotangents of mass and gravity."""
-    gravity = now.scene.solver.gravity
+    gravity = window.scene.solver.gravity
     if gravity is None or nodes.gravity is None:
         return nodes
     return nodes._replace(
-        mass=nodes.mass + gravity @ nodes.force, gravity=nodes.gravity + jnp.sum(now.mass * nodes.force, axis=1)
+        mass=nodes.mass + gravity @ nodes.force, gravity=nodes.gravity + jnp.sum(window.mass * nodes.force, axis=1)
     )
 
 
 def step_nodes_back(
-    nodes: BackwardNodes, corners: Corners, step: AdjointStep, now: ReverseWindow, losses: tuple[jax.Array, jax.Array]
+    nodes: BackwardNodes,
+    corners: Corners,
+    step: AdjointStep,
+    window: ReverseWindow,
+    losses: tuple[jax.Array, jax.Array],
 ) -> BackwardNodes:
     """Steps the nodes back by one step, from the cotangents and forces at the elements' corners.
 
     The losses are the cotangents of damping loss and unresolved energy.
     Nodes that landed in the earlier step are moved by `pull_back_landings`.
     """
-    elements, damping = now.packed.elements, now.scene.solver.damping
+    elements, damping = window.packed.elements, window.scene.solver.damping
     number, length, early_velocity_step, velocity_step = step
     half = _half_damping(velocity_step, damping)
-    loss, unresolved = losses[0], losses[1] * unresolved_factor(velocity_step, now.length, now.scene)
+    loss, unresolved = losses[0], losses[1] * unresolved_factor(velocity_step, window.length, window.scene)
 
     def compute_block(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
         at, after, position, velocity, (power,), *more = old
         flies = landed > number
         both = gather_shares(corners, own)
-        pulled, nodal = both[:3], add_gravity(both[3:], mass, now.scene.solver.gravity)
-        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, now)
+        pulled, nodal = both[:3], add_gravity(both[3:], mass, window.scene.solver.gravity)
+        before = _velocities_before(nodal, after, kept, (flies, compliance), velocity_step, window)
         position = [x + own for x, own in zip(position, pulled, strict=True)]
         before, position = materialize((before, position))
         ratio = (1.0 - half) / (1.0 + half)
@@ -225,16 +231,16 @@ def step_nodes_back(
             more = [[more[0][0] + rate * damping]]
             sums = [rate * mass - 0.5 * velocity_step / (1.0 + half) * dot(vector(velocity), twice)]
             velocity = [ratio * g + share * both for g, both in zip(velocity, twice, strict=True)]
-        if unresolved_share(now.scene) is not None:
+        if unresolved_share(window.scene) is not None:
             velocity = [g - jnp.where(flies, unresolved * f, 0.0) for g, f in zip(velocity, nodal, strict=True)]
         velocity = [g + length * x for g, x in zip(velocity, position, strict=True)]
         velocity = materialize(velocity)
-        force = [jnp.where(flies, f, 0.0) for f in force_cotangent(velocity, compliance, early_velocity_step, now)]
+        force = [jnp.where(flies, f, 0.0) for f in force_cotangent(velocity, compliance, early_velocity_step, window)]
         at = [x - jnp.where(flies, length * v, 0.0) for x, v in zip(at, before, strict=True)]
         return [at, before, position, velocity, power, *more, force], sums
 
-    kept = now.stored_velocities(number + 1)
-    inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, kept
+    kept = window.stored_velocities(number + 1)
+    inputs = gather_table(elements), window.landing_step, window.mass, window.compliance, kept
     updated = [nodes.at, nodes.speeds, nodes.positions, nodes.velocities, nodes.compliance[None]]
     updated += [nodes.mass[None]] if damping is not None else []
     count = int(damping is not None)
@@ -259,7 +265,7 @@ def pull_back_rim(
     after: jax.Array,
     step: AdjointStep,
     places: jax.Array,
-    now: ReverseWindow,
+    window: ReverseWindow,
     cotangent: jax.Array,
 ) -> tuple[BackwardNodes, jax.Array, jax.Array]:
     """Adds the contributions of the volume that the rim swept in the earlier step to the cotangents at its end.
@@ -269,7 +275,7 @@ def pull_back_rim(
         after: Positions of the rim's ends at the step's end (3, 2, n_edge) [m].
         step: The reverse step.
         places: Places of the rim's ends (2, n_edge).
-        now: Constants of the window.
+        window: Constants of the window.
         cotangent: Cotangent of the swept volume.
 
     Returns:
@@ -277,14 +283,14 @@ def pull_back_rim(
         all nodes are there; and the volume that the rim swept [m^3].
     """
     number, length, velocity_step, _ = step
-    landed = now.landing_step[places]
-    begin = jnp.where(landed == number, rim_ends(now.before, places), rim_ends(nodes.at, places))
-    origin = now.packed.elements.origin
+    landed = window.landing_step[places]
+    begin = jnp.where(landed == number, rim_ends(window.before, places), rim_ends(nodes.at, places))
+    origin = window.packed.elements.origin
     swept, pull = jax.vjp(lambda begin, after: rim_swept_volume(begin, after, origin), begin, after)
     early, late = pull(cotangent)
     speeds = length * jnp.where(landed > number, late, 0.0)
-    compliance = rim_ends(now.compliance, places)
-    force = jnp.stack(force_cotangent(unstack_rows(speeds), unstack_rows(compliance), velocity_step, now))
+    compliance = rim_ends(window.compliance, places)
+    force = jnp.stack(force_cotangent(unstack_rows(speeds), unstack_rows(compliance), velocity_step, window))
     nodes = add_rim_cotangents(nodes, late, places)
     velocities, power = nodes.velocities.at[:, places].add(speeds), nodes.force.at[:, places].add(force)
     return nodes._replace(velocities=velocities, force=power), early, swept
@@ -318,19 +324,19 @@ def _gain_of_curve(
     return (1.0 - half) * curve / length + 2.0 * half * velocity
 
 
-def displace_landed_nodes(nodes: BackwardNodes, step: AdjointStep, now: ReverseWindow) -> BackwardNodes:
+def displace_landed_nodes(nodes: BackwardNodes, step: AdjointStep, window: ReverseWindow) -> BackwardNodes:
     """Places nodes that return to their landing points in a step where they are at its begin, on a curved path."""
-    assert now.curved is not None
-    return nodes._replace(at=jnp.where(now.landing_step == step[0] - 1, now.curved[3:], nodes.at))
+    assert window.curved is not None
+    return nodes._replace(at=jnp.where(window.landing_step == step[0] - 1, window.curved[3:], nodes.at))
 
 
-def split_point_cotangents(nodes: BackwardNodes, step: AdjointStep, now: ReverseWindow) -> BackwardNodes:
+def split_point_cotangents(nodes: BackwardNodes, step: AdjointStep, window: ReverseWindow) -> BackwardNodes:
     """Keeps the cotangents of the landing points to which nodes return in a step.
 
     Their positions before belong to the landing's step, too; the cotangents of both are summed in `positions`.
     """
     assert nodes.point is not None
-    return nodes._replace(point=jnp.where(now.landing_step == step[0] - 1, nodes.positions, nodes.point))
+    return nodes._replace(point=jnp.where(window.landing_step == step[0] - 1, nodes.positions, nodes.point))
 
 
 def pull_back_landings(
@@ -338,7 +344,7 @@ def pull_back_landings(
     step: AdjointStep,
     at: tuple[jax.Array, jax.Array],
     mold: Mold,
-    now: ReverseWindow,
+    window: ReverseWindow,
     loss: jax.Array,
 ) -> BackwardNodes:
     """Reverses the landings of a step, node by node, back to the positions before it.
@@ -346,10 +352,10 @@ def pull_back_landings(
     `at` has the contact triangles at the window's end (place,), as `wall` in `Nodes`, and the window's begin [s].
     """
     wall, begin_time = at
-    grid = now.scene.surfaces[0].grid
+    grid = window.scene.surfaces[0].grid
     number, length, velocity_step, _ = step
     time = begin_time + (number + 1) * length
-    places, count = compact_indices(now.landing_step == number, now.landing_step.size)
+    places, count = compact_indices(window.landing_step == number, window.landing_step.size)
 
     def one(k: jax.Array, nodes: BackwardNodes) -> BackwardNodes:
         place = blocks.entry(places, k)
@@ -382,22 +388,22 @@ def pull_back_landings(
 
         # All is read before anything is written (docs/explanation/kernels.md).
         old = materialize(jax.tree.map(read_node, nodes._replace(damping=None, gravity=None, vertices=None)))
-        begin, curved = read_node(now.before), None
-        if now.curved is not None:
-            curve, damping = read_node(now.curved)[:3], now.scene.solver.damping
+        begin, curved = read_node(window.before), None
+        if window.curved is not None:
+            curve, damping = read_node(window.curved)[:3], window.scene.solver.damping
             curved = _gain_of_curve(curve, damping, old.speeds, velocity_step, length), damping
         triangle = mold.triangles[jnp.abs(read_node(wall)[0]) - 1]
         after = begin + length * old.speeds
-        _, pull = jax.vjp(land, after, old.speeds, read_node(now.mass), mold.vertices[triangle], curved)
+        _, pull = jax.vjp(land, after, old.speeds, read_node(window.mass), mold.vertices[triangle], curved)
         ends = [old.positions]
         if old.point is not None:
             # A window's last step ends at the landing point itself.
-            point = jnp.where(number == now.count - 1, old.positions, old.point)
+            point = jnp.where(number == window.count - 1, old.positions, old.point)
             ends = [old.positions - point, point]
         position, velocity, mass, corners, pulled = pull((ends, old.contact_time, loss))
         velocity = velocity + length * position
-        compliance = read_node(now.compliance)
-        force = jnp.stack(force_cotangent(unstack_rows(velocity), unstack_rows(compliance), velocity_step, now))
+        compliance = read_node(window.compliance)
+        force = jnp.stack(force_cotangent(unstack_rows(velocity), unstack_rows(compliance), velocity_step, window))
         if curved is not None and pulled is not None:
             force = force + velocity_step * compliance * pulled[0]
             nodes = nodes._replace(

@@ -394,17 +394,17 @@ def _reverse_steps(
         after = None if places is None else rim_end_positions(nodes, places)
         nodes = step_nodes_back(nodes, corners, step, now, (lost, missed))
         if now.curved is not None:
-            displace = functools.partial(displace_landed_nodes, step=step, now=now)
+            displace = functools.partial(displace_landed_nodes, step=step, window=now)
             nodes = lax_cond_once(lands[n - 2], displace, nodes)
         early, swept = None, carry.rim
         if rim is not None and places is not None and after is not None and swept is not None:
             nodes, early, own = pull_back_rim(nodes, after, step, places, now, rim[n])
             swept = swept.at[n].set(own)
         if now.curved is not None:
-            keep = functools.partial(split_point_cotangents, step=step, now=now)
+            keep = functools.partial(split_point_cotangents, step=step, window=now)
             nodes = lax_cond_once(lands[n - 2], keep, nodes)
         if mold is not None:
-            back_over = functools.partial(pull_back_landings, mold=mold, now=now, loss=loss.contact_loss)
+            back_over = functools.partial(pull_back_landings, mold=mold, window=now, loss=loss.contact_loss)
             nodes = lax_cond_once(
                 lands[n - 1],
                 lambda nodes: back_over(nodes, step, (packed.pack(kept.wall), kept.time)),

@@ -216,16 +216,16 @@ def pack_moving(immobile: jax.Array, mesh: RefinedMesh | None, scene: Scene, dis
 def active_set_of(state: State, scene: Scene, discrete: Discretization, *, differentiable: bool = False) -> ActiveSet:
     """The active set of a window that begins with a state in the mesh's order."""
     packed = pack_moving(immobile_nodes(state, scene), state.mesh, scene, discrete)
-    now = discrete.with_zones(state.heat, scene.material)
-    return _add_cooling(_make_active_set(packed, state, scene, now, differentiable=differentiable), state, discrete)
+    present = discrete.with_zones(state.heat, scene.material)
+    return _add_cooling(_make_active_set(packed, state, scene, present, differentiable=differentiable), state, discrete)
 
 
 def whole_set(state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
     """The active set of all elements and nodes, in the mesh's order."""
     none, whole = jnp.zeros((), discrete.mass.dtype), discrete.whole
-    now = discrete.with_zones(state.heat, scene.material)
-    masses = _add_masses(whole, now, _no_volume(discrete, none.dtype), none)
-    return _add_cooling(_add_memory(masses, state, scene, now), state, discrete)
+    present = discrete.with_zones(state.heat, scene.material)
+    masses = _add_masses(whole, present, _no_volume(discrete, none.dtype), none)
+    return _add_cooling(_add_memory(masses, state, scene, present), state, discrete)
 
 
 def _no_volume(discrete: Discretization, real: jnp.dtype) -> jax.Array:
@@ -250,8 +250,8 @@ def repack(
             moving = Halves(either, either).concatenate()
         return [], [moving.astype(area.dtype)]
 
-    def pack_anew(now: tuple[PackedState, ActiveSet]) -> tuple[PackedState, ActiveSet]:
-        state = now[1].unpack_state(now[0])
+    def pack_anew(pair: tuple[PackedState, ActiveSet]) -> tuple[PackedState, ActiveSet]:
+        state = pair[1].unpack_state(pair[0])
         new = dataclasses.replace(active_set_of(state, scene, discrete), workspace=active.workspace)
         return new.pack_state(state), new
 
