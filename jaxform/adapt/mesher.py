@@ -332,8 +332,9 @@ def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
         places = np.where(sheet.fixed, sheet.positions, places)
     normal = topology.doubled_normals(sheet.positions, sheet.triangles)
     square, points = np.sum(normal * normal, axis=1), sheet.positions.copy()
+    around = _triangles_of_nodes(sheet.triangles, len(points))
     for node in wanted[np.argsort(np.linalg.norm(places - sheet.positions, axis=1)[wanted])]:
-        own = np.flatnonzero((sheet.triangles == node).any(1))
+        own = around[node]
         last, points[node] = points[node].copy(), places[node]
         new = topology.doubled_normals(points, sheet.triangles[own])
         if (np.sum(new * normal[own], axis=1) < _LEFT * square[own]).any():
@@ -420,12 +421,20 @@ def _insert_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> tuple[S
     return made, np.append(size, old.at(size, added)), there
 
 
+def _triangles_of_nodes(triangles: NDArray[np.integer], count: int) -> list[Index]:
+    """The numbers (k,) of the triangles of each node, in ascending order."""
+    corners = triangles.ravel()
+    last = np.cumsum(np.bincount(corners, minlength=count))[:-1]
+    return np.split(np.argsort(corners, kind="stable") // 3, last)
+
+
 def _join_nodes(points: Array, triangles: Index, pairs: Index, least: float) -> Index:
     """The triangles with edges between pairs of nodes (m, 2), where turning the edge between leaves no sliver."""
     triangles = triangles.copy()
     kept = {(int(min(pair)), int(max(pair))) for pair in pairs}
+    around = _triangles_of_nodes(triangles, len(points)) if kept else []
     for a, b in kept:
-        of_a, of_b = (np.flatnonzero((triangles == node).any(1)) for node in (a, b))
+        of_a, of_b = around[a], around[b]
         if len(np.intersect1d(of_a, of_b)):
             continue
         for one in of_a:
@@ -439,6 +448,8 @@ def _join_nodes(points: Array, triangles: Index, pairs: Index, least: float) -> 
                 and _turn_alike(points, new, triangles[[one, other[0]]], least)
             ):
                 triangles[[one, other[0]]] = new
+                around[a], around[b] = np.union1d(of_a, other[0]), np.union1d(of_b, one)
+                around[c], around[d] = np.setdiff1d(around[c], other[0]), np.setdiff1d(around[d], one)
                 break
     return triangles
 

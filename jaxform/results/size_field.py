@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from jaxform.mesh import topology
 from jaxform.mesh.volumes import longest_sides
@@ -181,6 +182,7 @@ def _is_convex(vertices: Array, edges: NDArray[np.integer], places: Array) -> ND
 
 _BESIDE = 0.5  # of the mean formed side at a node: it is moved onto an edge no farther away
 _ALONG = 0.8  # cosine to the edge, of a way between nodes that follow one another on it
+_ROUNDING = 1e-9  # of a distance, by which points are looked up farther away
 _ON_EDGE = 0.002  # of it: an element as near to the place of an edge is held there, or has a node there
 
 
@@ -261,11 +263,15 @@ def _nearest_on_edges(
 ) -> tuple[Array, NDArray[np.int64]]:
     """Places on edges (4, n_edge) nearest to points (n, 3) [m], and those edges (n,); infinitely far beyond a reach."""
     places, nearest, least = np.full_like(points, np.inf), np.zeros(len(points), np.int64), np.full(len(points), reach)
-    for number, (begin, end) in enumerate(zip(vertices[edges[0]], vertices[edges[1]], strict=True)):
-        way = end - begin
-        share = np.clip((points - begin) @ way / max(float(way @ way), np.finfo(float).tiny), 0.0, 1.0)
+    begins, ends = vertices[edges[0]], vertices[edges[1]]
+    radius = 0.5 * np.linalg.norm(ends - begins, axis=1) + reach
+    around = KDTree(points).query_ball_point(0.5 * (begins + ends), radius * (1.0 + _ROUNDING))
+    for number, (begin, end, near) in enumerate(zip(begins, ends, around, strict=True)):
+        own, way = np.array(near, np.int64), end - begin
+        share = np.clip((points[own] - begin) @ way / max(float(way @ way), np.finfo(float).tiny), 0.0, 1.0)
         place = begin + share[:, None] * way
-        away = np.linalg.norm(points - place, axis=1)
-        nearer = away < least
-        places[nearer], nearest[nearer], least[nearer] = place[nearer], number, away[nearer]
+        away = np.linalg.norm(points[own] - place, axis=1)
+        nearer = away < least[own]
+        chosen = own[nearer]
+        places[chosen], nearest[chosen], least[chosen] = place[nearer], number, away[nearer]
     return places, nearest
