@@ -1,9 +1,8 @@
-"""A sheet meshed anew, with elements of given sizes, by Mmg. On the host.
+"""Remeshing of a sheet with elements of given sizes, by Mmg. On the host.
 
-Mmg keeps the references of boundary edges. Here these are the ways in which they are held: clamped, in a symmetry
-plane, free. So it is known how new nodes on the boundary are held. Mmg puts nodes of boundaries and curved surfaces on
-its own reconstruction of them; they are moved to where the sheet says that they belong (`Sheet.snap`), or else onto the
-old mesh.
+Mmg preserves the references of boundary edges, which here encode their constraints: clamped, in a symmetry plane, free.
+New nodes on the boundary get the constraint of their edge. Mmg puts nodes of boundaries and curved surfaces on its own
+reconstruction of them; they are moved onto the true shape (`Sheet.snap`), or else onto the old mesh.
 
 (Dapogny, Dobrzynski, Frey: Three-dimensional adaptive domain remeshing, implicit domain meshing, and applications to
 free and moving boundary problems, J. Comput. Phys. 262 (2014) 358-378.)
@@ -110,7 +109,7 @@ _NONE = np.zeros(0, np.int64), np.zeros((0, 2), np.int64)
 
 
 def _remesh_once(sheet: Sheet, size: Array, lines: tuple[Index, Index] = _NONE) -> Sheet:
-    """The sheet meshed anew; some nodes (k,) stay where they are, and pairs of them (m, 2) are joined by edges."""
+    """The remeshed sheet; some nodes (k,) stay where they are, and pairs of them (m, 2) are joined by edges."""
     required, pairs = lines
     edge = topology.boundary_edges(sheet.triangles)
     kinds, reference = np.unique(_holds(sheet, edge), axis=0, return_inverse=True)
@@ -207,7 +206,7 @@ def _kept_nodes(sheet: Sheet, edge: Index, reference: Index) -> tuple[Index, Ind
 def _held_sheet(
     sheet: Sheet, boundary: _Boundary, points: Array, triangles: Index, edges: Index, references: Index
 ) -> Sheet:
-    """The new mesh with the old one's ways of holding, with its nodes where they belong."""
+    """The new mesh with the constraints of the old one, its nodes moved onto the true shape."""
     clamped, fixed = np.zeros(len(points), bool), np.zeros(points.shape, bool)
     for number, kind in enumerate(boundary.kinds):
         nodes = np.unique(edges[references == number])
@@ -251,7 +250,7 @@ def _place_nodes(sheet: Sheet, boundary: _Boundary, points: Array, edges: Index,
 
 
 def _snap(sheet: Sheet, points: Array, ends: Array, *, rim: bool) -> Array:
-    """Points (n, 3) [m], near edges with ends (n, 2, 3) [m], where the sheet says that they belong."""
+    """Points (n, 3) [m], near edges with ends (n, 2, 3) [m], moved onto the true shape of the sheet."""
     return points if sheet.snap is None else sheet.snap(points, ends, np.full(len(points), rim))
 
 

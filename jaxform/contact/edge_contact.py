@@ -396,8 +396,8 @@ def hold_sides(
         before: `values_at_points` before the step.
         held: The held sides.
         compliance: Compliance of the nodes (3, n_node) [1/kg].
-        immovable: Nodes (n_node,) that are where they are whatever they hold.
-        length: The step [s]; nothing is moved in one of no length.
+        immovable: Nodes (n_node,) that constraints do not move.
+        length: Step length [s]; nothing is moved where it is 0.
         carrier: Displacement at the step's end [m] and velocity (3, room) [m/s] of the tool of each side.
         number: Number of the step.
         differentiable: True if JAX can differentiate it.
