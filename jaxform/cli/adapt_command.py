@@ -50,6 +50,7 @@ def adapt(arguments: argparse.Namespace) -> int:
 
     with files.error_context(document.file):
         first = geometry.build_sheet(adaptation.without_adaptation(document), store)
+        say(f"simulating with the initial mesh of {len(first.triangles)} elements")
         made = adaptation.adapt_sheet(document, first, store, report)
         path = scene_rewriting.write_scene(document, {}, arguments.out, NAME)
     output.write_json(arguments.out / SUMMARY, {"scene": document.name, "elements": len(made.triangles), "runs": runs})

@@ -30,6 +30,7 @@ from jaxform.io.validation import NO_KEY, validate
 
 SCENE = "scene"
 """Column of a table that names the scene of each row."""
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _WHOLE = re.compile(r"[-+]?\d{1,18}")
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_-]*)((?:\[-?\d+\])*)")
@@ -118,6 +119,10 @@ def _row(paths: list[str], line: list[str], number: int, file: str) -> dict[str,
     if len(line) != len(paths):
         problem = f"has {len(line)} cells in line {number}, and {len(paths)} columns in its header"
         raise InputError(problem, "give a cell for each column; put a list in quotes", file=file)
+    for path, cell in zip(paths, line, strict=True):
+        if _DECIMAL_COMMA.fullmatch(cell.strip()):
+            problem = f"has a decimal comma in line {number}"
+            raise InputError(problem, "write numbers with a point, or a list in brackets", path, cell, file=file)
     return {path: parse_cell(cell) for path, cell in zip(paths, line, strict=True) if cell.strip()}
 
 

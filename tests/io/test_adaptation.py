@@ -104,6 +104,7 @@ def test_the_command_tells_of_each_run_also_of_a_mesh_that_is_kept(
     for _ in range(2):
         assert main(["adapt", str(path), "--out", str(out), "--force"]) == 0
         told = capsys.readouterr().out
+        assert told.startswith("simulating with the initial mesh of ")
         assert "run 1 with 60 elements: estimated error of their wall 12 %\n" in told
         assert "error of their wall 3 %; 7 nodes moved onto sharp edges, by up to 0.25 of an element\n" in told
         assert json.loads((out / "summary.json").read_text())["runs"] == [

@@ -97,6 +97,7 @@ def test_columns_are_separated_by_commas_semicolons_or_tabs(tmp_path: Path, mark
         ("material.c,\n1,2\n", "no name for column 2"),
         ("material.c,material.c\n1,2\n", "material.c: occurs twice"),
         ("material.c\n1,2\n", "has 2 cells in line 2, and 1 columns"),
+        ("parison.thickness;material.c\n1,0e-3;2e5\n", r"thickness = '1,0e-3': has a decimal comma in line 2; write"),
         ("material.c,solver.damping\n1,2\n3\n", "has 1 cells in line 3"),
         ("material..c\n1\n", "is not a path of a scene file"),
         ("profile[x]\n1\n", "is not a path of a scene file"),
