@@ -1,8 +1,8 @@
 """The one description of scene and study files: keys, types, ranges.
 
-Lengths are in m, times in s, pressures and stiffnesses in Pa, densities in kg/m^3; nothing is converted. What needs
-the mesh or several numbers at once is checked where the scene is built. The docstring of a table says what each of its
-keys means: the pages of the reference are made of it.
+Lengths are in m, times in s, pressures and stiffnesses in Pa, densities in kg/m^3; nothing is converted. Values
+that depend on the mesh or on several numbers are checked when the scene is built. The docstring of a table documents
+each of its keys: the reference pages are made from it.
 """
 
 from jaxform.io.schema.material import Material, MaterialTable, Viscous, material_table, material_tables

@@ -67,7 +67,7 @@ class PlacedTable(Table):
         translate: Translation [m] after the rotation.
         rotate: Rotation about x, y and z, one after the other [degrees].
         land: Width of the land of a mold half [m]: the flat face around its cavity, in the plane across x, y or z in
-            which it is open. The parison is pinched between the lands; what lies there is flash, and no part.
+            which it is open. The parison is pinched between the lands; film on the land is flash, not part.
         contact: Contact law of the sheet: nodes `stick`, `slide` without friction, or slide with friction (`coulomb`).
         friction: Coefficient of friction, where contact = "coulomb"; a number, or { along = "temperature", at, value }.
     """

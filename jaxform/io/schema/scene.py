@@ -41,15 +41,15 @@ class TrimTable(Table):
 class PartTable(Table):
     """Selection of the part from the formed sheet: the elements that all keys hold for.
 
-    Statistics, the thinnest place, mass, objectives, pictures and exports are then of the part alone, not of what
-    clamp frame, platen, flanges and covers hold.
+    Statistics, the thinnest place, mass, objectives, pictures and exports are then those of the part alone, without the
+    sheet on clamp frame, platen, flanges and covers.
 
     Attributes:
         box: Lowest and highest corner [[x0, y0, z0], [x1, y1, z1]] [m] of the box for an element's centroid, in
             formed positions.
         trim: A plane at which the part is cut off.
         molds: Files of `mold.path`, by name, that the part touches: more of an element's nodes stick to these than to
-            others; what touches nothing belongs to what is next to it, and clamped nodes to no file.
+            others. An element without contact belongs to its neighbours, a clamped node to no file.
         flash: True if the flash, which lies on the land of a mold half, counts as part.
     """
 
@@ -71,7 +71,7 @@ class PressureTable(Table):
     Attributes:
         time: Knots [s], increasing.
         value: Pressure difference [Pa], one per knot; it pushes to +z, or outwards.
-        interpolation: Linear between the knots, or rising as the cube of the time that has passed since each.
+        interpolation: Linear between the knots, or rising as the cube of the time elapsed since the last knot.
     """
 
     time: Annotated[list[Number], Field(min_length=1)]
@@ -145,7 +145,7 @@ class GasTable(Table):
             conditions that all hold, or "field:NAME=1", where that field of the mesh of `shape = "file"` has this
             value. All of them by default.
         time: Knots [s], increasing; values at them are linear between and held before and after. One at 0 is enough
-            for a gas in the mold that nothing changes.
+            for a gas in the mold with constant values.
         mass_flow: Mass flow into the modelled part [kg/s], one per knot.
         supply_pressure: Gauge pressure of a supply behind a valve [Pa], a number or one per knot.
         orifice_area: Area of the open valve [m^2], of the modelled part: of a quarter a quarter.
@@ -258,18 +258,18 @@ Gravity = Annotated[float, declared_range("solver.gravity")]
 
 
 class SolverTable(Table):
-    """Time integration; `quasi_static` says that the process is meant to be slow: a quasi-static error is warned of.
+    """Time integration; `quasi_static` marks a slow process: the run then warns of a quasi-static error.
 
     Attributes:
         end_time: End of the simulation [s]; it ends earlier when nothing can move any more.
         damping: Mass-proportional damping [1/s]; none by default.
         gravity: Acceleration of gravity [x, y, z] [m/s^2]; none by default.
         safety: Factor on the longest stable step.
-        quasi_static: True if a slow process is meant: the run then warns where inertia or damping shows.
+        quasi_static: True for a slow process: the run then warns if inertia or damping affects the wall.
         self_contact: True if films stick to each other that meet back to back in a fold (a web), while the mold rests.
         edge_contact: True if sides of elements are held at sharp edges of tools that they would pass between two nodes.
-        smooth_landing: True if nodes land on curved paths and stop at that very time, not at the end of a step, so that
-            slopes of a run follow the trend of its results, as far as its steps are short: with a safety of 0.6. For
+        smooth_landing: True if nodes land on curved paths and stop at the time of impact, not at the end of a step.
+            With short steps (a safety of 0.6 or less) derivatives of a run then follow the trend of its results. For
             tools at rest that the sheet sticks to.
         max_steps: Limit on the steps of a run.
     """

@@ -118,7 +118,7 @@ class HeaterZonesTable(Table):
     Attributes:
         kind: The kind of variable.
         grid: Number of heaters along x and along y, over the sheet's extent.
-        distance: Distance from the heaters to the sheet [m]: the farther, the more they blur; 0 for sharp zones.
+        distance: Distance from the heaters to the sheet [m]: the larger, the smoother the field; 0 for sharp zones.
         bounds: Least and largest setting, in the unit of `of`.
         of: The designed field: parison.temperature [degC], or a parameter of the material.
     """
@@ -155,7 +155,7 @@ class ObjectiveTable(Table):
 
 
 class TargetTable(ObjectiveTable):
-    """Come close to a final thickness [m]; with `limit`, keep a deviation (relative, rms) instead.
+    """Minimize the deviation from a final thickness [m]; with `limit`, keep it (relative, rms) below a limit instead.
 
     Attributes:
         kind: The kind of objective.
@@ -179,7 +179,7 @@ class UniformTable(ObjectiveTable):
 
 
 class LeastMassTable(ObjectiveTable):
-    """Use as little material as a minimum of the wall [m] allows.
+    """Minimize the mass for a minimum of the wall [m].
 
     Attributes:
         kind: The kind of objective.
@@ -194,7 +194,7 @@ class LeastMassTable(ObjectiveTable):
 
 
 class FormingTimeTable(ObjectiveTable):
-    """Form quickly; the higher the power of the mean, the more the last contact counts.
+    """Minimize the forming time, a mean of the contact times.
 
     Attributes:
         kind: The kind of objective.
@@ -206,7 +206,7 @@ class FormingTimeTable(ObjectiveTable):
 
 
 class KineticEnergyTable(ObjectiveTable):
-    """Form gently.
+    """Minimize the kinetic energy at contact.
 
     Attributes:
         kind: The kind of objective.
