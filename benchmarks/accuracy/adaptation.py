@@ -102,7 +102,7 @@ def show_costs(name: str) -> list[dict[str, Any]]:
     cup, wall = CUPS[name], cases.exact_table(CUPS[name].table)
     chains = [Chain("uniform", [cup.scene(_disc(elements))], 0.0) for elements in _UNIFORM]
     chains += [Chain("refined in flight", [_refined_in_flight(cup, *levels)], 0.0) for levels in _LEVELS]
-    chains += [_adapted(cup, elements) for elements in _ADAPTED]
+    chains += [_adapted_chain(cup, elements) for elements in _ADAPTED]
     results = [[jaxform.run(scene) for scene in chain.scenes] for chain in chains]
     seconds = [[[_cpu_time(scene) for scene in chain.scenes] for chain in chains] for _ in range(_ROUNDS)]
     rows = []
@@ -130,7 +130,7 @@ def _refined_in_flight(cup: Cup, level: int, corner: int) -> Scene:
     return jaxform.fitted(scene, int(jaxform.run(scene).used.sum()))
 
 
-def _adapted(cup: Cup, elements: int) -> Chain:
+def _adapted_chain(cup: Cup, elements: int) -> Chain:
     """The scenes of a run on an adapted mesh: those by whose walls it is adapted, and the last."""
     sheet, meshing = _disc(min(_FIRST, elements)), 0.0
     scenes = [cup.scene(sheet)]

@@ -346,7 +346,7 @@ def gradient_errors(scene: jaxform.Scene) -> dict[str, float]:
     return found
 
 
-def _differentiated() -> dict[str, Callable[[], jaxform.Scene]]:
+def _gradient_scenes() -> dict[str, Callable[[], jaxform.Scene]]:
     """Scenes whose gradients are measured."""
     law = jaxform.make_contact_law("coulomb", 0.2)
     modes = jaxform.Christensen(jnp.asarray([1.0, 0.5]), jnp.asarray([2.0, 20.0]))
@@ -367,7 +367,7 @@ def _differentiated() -> dict[str, Callable[[], jaxform.Scene]]:
 
 def measure_gradients() -> Figures:
     """Gradients by a plug's way, timing, position and friction, of one scene of each kind."""
-    for scene_name, make in _differentiated().items():
+    for scene_name, make in _gradient_scenes().items():
         for name, error in gradient_errors(make()).items():
             yield Figure(f"gradient by {name}: {scene_name}", error, 1e-5, "")
 

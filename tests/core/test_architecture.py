@@ -74,6 +74,23 @@ def test_records_and_modules_stay_few() -> None:
     assert len(set(names)) == len(names)
 
 
+_PUBLIC_PARTICIPLES = {"cooled", "divided", "fitted", "guarded", "padded", "placed", "revolved"}
+_PARTICIPLE = re.compile(r"_?([a-z]+ed|begun|carried|gone|kept|known|made|seen|taken|told)")
+
+
+def test_functions_are_not_named_by_participles() -> None:
+    """Names are verbs in the imperative, or nouns; public names stay."""
+    folders = ("jaxform", "optimize", "benchmarks", "tools")
+    found = {
+        node.name: path
+        for folder in folders
+        for path in (ROOT / folder).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef) and _PARTICIPLE.fullmatch(node.name)
+    }
+    assert found.keys() == _PUBLIC_PARTICIPLES
+
+
 def _documented_attributes(one: ast.ClassDef) -> list[str]:
     """Names in the section "Attributes" of a class's docstring."""
     _, _, section = (ast.get_docstring(one) or "").partition("\nAttributes:\n")
