@@ -197,7 +197,7 @@ def _finish(
     """Writes what is made of the whole table: its units, pictures, the report, and results.parquet."""
     from jaxform.io.output import write_json
     from jaxform.sweeps import records, report
-    from jaxform.sweeps.designs import unit_of
+    from jaxform.sweeps.designs import complete_rows, unit_of
 
     folder: Path = arguments.out
     documents = [design.document for design in task.designs if design.document is not None]
@@ -215,7 +215,7 @@ def _finish(
         "variables": task.paths,
     }
     write_json(folder / "sweep.json", facts)
-    drawn = report.draw_all(folder, task.paths, rows, units)
+    drawn = report.draw_all(folder, task.paths, complete_rows(rows, task.designs, task.paths), units)
     report.write_report(folder, facts, columns, rows, drawn)
     if not parquet and not arguments.quiet:
         session.say(f"{records.PARQUET} needs pyarrow, which is not installed: pip install 'jaxform[sweep]'")

@@ -365,18 +365,51 @@ def name_scene(design: DesignRow) -> SceneDocument:
 def unit_of(model: Any, path: str) -> str:
     """The unit of the quantity at a path of a validated scene file, as its description gives it; empty without one."""
     unit, place, steps = "", model, parse_path(path)
-    find = _NAMED.get(str(steps[0]), _NAMED["tool"])[0]
     for step in steps:
-        if (tables := _as_list(place)) is not None or isinstance(step, int):
-            index = find(tables, step) if isinstance(step, str) else step
-            there = tables is not None and index is not None and -len(tables) <= index < len(tables)
-            place = tables[index] if there and tables and index is not None else None
-            continue
-        line = re.search(rf"^ +{step}: .*$", _description(type(place), step), re.MULTILINE)
-        found = [words for words in re.findall(r"\[([^][]+)\]", line[0] if line else "") if words in _UNITS]
-        unit = found[0] if found else unit
-        place = getattr(place, step, None)
+        if isinstance(step, str) and _as_list(place) is None:
+            line = re.search(rf"^ +{step}: .*$", _description(type(place), step), re.MULTILINE)
+            found = [words for words in re.findall(r"\[([^][]+)\]", line[0] if line else "") if words in _UNITS]
+            unit = found[0] if found else unit
+        place = _step_into(place, step, steps[0])
     return unit
+
+
+def number_of(model: Any, path: str) -> float | None:
+    """The number at a path of a validated scene file; None where there is another value, or none."""
+    place, steps = model, parse_path(path)
+    for step in steps:
+        place = _step_into(place, step, steps[0])
+    return float(place) if isinstance(place, int | float) and not isinstance(place, bool) else None
+
+
+def complete_rows(
+    rows: Sequence[Mapping[str, Any]], designs: Sequence[DesignRow], paths: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Rows of results in which an empty cell of a variable has the number of the design's scene.
+
+    Args:
+        rows: The rows, of which `design` is the number of the design.
+        designs: The designs.
+        paths: Columns of the variables.
+    """
+    models = {str(design.number): design.document.model for design in designs if design.document is not None}
+    complete = []
+    for row in rows:
+        model = models.get(str(row.get("design", "")))
+        empty = [path for path in paths if model is not None and row.get(path) in (None, "")]
+        found = {path: number_of(model, path) for path in empty}
+        complete.append({**row, **{path: f"{number:.17g}" for path, number in found.items() if number is not None}})
+    return complete
+
+
+def _step_into(place: Any, step: Step, first: Step) -> Any:
+    """The value that a table or list has at a step of a path, whose `first` step is given; None without it."""
+    tables = _as_list(place)
+    if tables is None and not isinstance(step, int):
+        return getattr(place, step, None)
+    index = _NAMED.get(str(first), _NAMED["tool"])[0](tables, step) if isinstance(step, str) else step
+    there = tables is not None and index is not None and -len(tables) <= index < len(tables)
+    return tables[index] if there and tables and index is not None else None
 
 
 def _description(table: type, key: str) -> str:

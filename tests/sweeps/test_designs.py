@@ -116,6 +116,19 @@ def test_a_table_that_is_wrong_for_every_design_is_refused(tmp_path: Path, table
     assert "table.csv" in str(caught.value)
 
 
+def test_an_empty_cell_is_drawn_at_the_number_of_the_scene(tmp_path: Path) -> None:
+    """A key of the scene, an element of a list and a default have one; a text has none."""
+    rows = _designs(tmp_path, "material.c,pressure.value[1],solver.safety,name\n1e5,,,\n,1e4,0.5,other\n")
+    paths = ["material.c", "pressure.value[1]", "solver.safety", "name"]
+    cells = [
+        {"design": str(k + 1)} | {path: str(row.values.get(path, "")) for path in paths} for k, row in enumerate(rows)
+    ]
+    first, second = designs.complete_rows(cells, rows, paths)
+    assert first["material.c"] == "100000.0" and first["name"] == ""
+    assert float(first["pressure.value[1]"]) == 2e4 and float(first["solver.safety"]) == 0.9
+    assert float(second["material.c"]) == 2e5 and second["pressure.value[1]"] == "10000.0"
+
+
 def test_a_scene_that_is_wrong_is_refused_with_its_own_name(tmp_path: Path) -> None:
     with pytest.raises(jaxform.InputError, match=r"scene.toml: solver.end_tim.*did you mean end_time"):
         _designs(tmp_path, "material.c\n1e5\n2e5\n", scenes.FILE.replace("end_time", "end_tim"))
