@@ -126,6 +126,20 @@ def _across(way: Vector, along: Vector) -> Vector:
     return scale(1.0 / jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), rest)
 
 
+def _is_between_faces(places: Vector, corners: _Corners) -> jax.Array:
+    """True for places (n,) in the wedge of less than 180 degrees between the faces at an edge.
+
+    A side with both ends there is in it as a whole, so that it cannot pass the edge from outside.
+    """
+    start, end, *thirds = corners
+    along, _ = _unit(minus(end, start))
+    ways = [_across(minus(third, start), along) for third in thirds]
+    away = minus(places, start)
+    mixed, one, other = dot(*ways), dot(ways[0], away), dot(ways[1], away)
+    # Their shares of the two directions are both positive; what is along the edge has none.
+    return (one - mixed * other > 0.0) & (other - mixed * one > 0.0)
+
+
 def _unit(a: Vector) -> tuple[Vector, jax.Array]:
     square = dot(a, a)
     there = square > 0.0
@@ -199,6 +213,7 @@ def list_near_sides(
     one, other = center[:, begin], center[:, end]
     middle, half = 0.5 * (one + other), 0.5 * (other - one)
     reach = jnp.sqrt(dot(half, half)) + jnp.maximum(wide[begin], wide[end])
+    nodes = vector(center)
     room = 2 * candidates.lists.node.size
     listed = jnp.zeros(room + begin.size, jnp.int32)
 
@@ -209,7 +224,8 @@ def list_near_sides(
         square = dot(way, way)
         t = jnp.clip(dot(middle - a, way) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
         gap = middle - a - t[None] * way
-        near = moves & (dot(gap, gap) <= reach * reach) & (square > 0.0)
+        between = _is_between_faces(nodes, edge_corners(mold, edges, k[None]))
+        near = moves & (dot(gap, gap) <= reach * reach) & (square > 0.0) & ~(between[begin] & between[end])
         place, more = compact_indices(near, near.size)
         begin_at = jnp.minimum(count, room)
         return put(side, place, begin_at), put(edge, jnp.full_like(place, k), begin_at), count + more

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHARPEST_FACETS = 30.0  # degrees: facets of a round surface turn by less from one to the next
+HOLDING_FACETS = 16.0  # degrees: those at whose edges sides of elements are held turn by more
 
 
 def edges(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -119,8 +120,10 @@ def feature_edges(
     return vertices[edge[(count != 2) & rims | (count >= 2) & bent]]
 
 
-def sharp_edges(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> NDArray[np.int32]:
-    """The edges at which the surface turns by more than the limit, (4, n_edge).
+def sharp_edges(
+    vertices: NDArray[np.floating], triangles: NDArray[np.integer], angle: float = SHARPEST_FACETS
+) -> NDArray[np.int32]:
+    """The edges at which the surface turns by more than an angle, (4, n_edge).
 
     Of each the vertices at its ends, then the third vertex of either triangle. Edges of one triangle, as along the rim
     of an open mold, and of more than two are not among them.
@@ -128,6 +131,7 @@ def sharp_edges(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) 
     Args:
         vertices: Vertices (n_vertex, 3) [m].
         triangles: Their numbers (n_triangle, 3), of either orientation.
+        angle: The angle [degrees].
     """
     corners = np.asarray(vertices, float)
     faces = np.asarray(triangles, np.int64)
@@ -146,7 +150,7 @@ def sharp_edges(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) 
     ways = [way - np.einsum("ij,ij->i", way, along)[:, None] * along for way in ways]
     sizes = [np.maximum(np.linalg.norm(way, axis=1), 1e-300) for way in ways]
     cosine = -np.einsum("ij,ij->i", *ways) / (sizes[0] * sizes[1])
-    return found[:, cosine < np.cos(np.radians(SHARPEST_FACETS))].astype(np.int32)
+    return found[:, cosine < np.cos(np.radians(angle))].astype(np.int32)
 
 
 def smooth_parts(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> NDArray[np.int32]:

@@ -18,7 +18,7 @@ from jaxform.core.store import PACKAGE, Store
 from jaxform.loads import Loading, RegionalLoad
 from jaxform.materials import Cooling, Law
 from jaxform.mesh import bisection, topology, volumes
-from jaxform.mesh.topology import sharp_edges
+from jaxform.mesh.topology import HOLDING_FACETS, sharp_edges
 from jaxform.model.field import Field
 from jaxform.model.part import Part, check_part
 from jaxform.model.scene import Parison, Refinement, Scene, Solver, enclosed_volumes, sample_pressures
@@ -333,7 +333,9 @@ def _sharp_edges(surfaces: list[Mold], solver: Solver) -> tuple[jax.Array, ...]:
         return ()
     none = np.zeros((4, 0), np.int32)
     found = [
-        sharp_edges(np.asarray(surface.vertices), np.asarray(surface.triangles)) if surface.contact.sticks else none
+        sharp_edges(np.asarray(surface.vertices), np.asarray(surface.triangles), HOLDING_FACETS)
+        if surface.contact.sticks
+        else none
         for surface in surfaces
     ]
     if not any(edges.size for edges in found):

@@ -18,8 +18,9 @@ from jaxform.contact.edge_contact import HeldSides, no_held_sides
 from jaxform.core.pytree import as_real
 from jaxform.dynamics import window_state
 from jaxform.io import adaptation
+from jaxform.mechanics.membrane import vector
 from jaxform.mesh.shapes import Sheet
-from jaxform.mesh.topology import sharp_edges
+from jaxform.mesh.topology import HOLDING_FACETS, SHARPEST_FACETS, sharp_edges
 from jaxform.results import size_field
 from jaxform.tools.surface_walk import ContactSurface
 from tests import scenes
@@ -121,7 +122,38 @@ def test_sharp_edges_of_a_box_whose_triangles_turn_either_way() -> None:
 
 def test_facets_of_a_round_surface_are_no_edges() -> None:
     shape = jaxform.molds.revolved(profile=DOME, segments=48)
-    assert sharp_edges(np.asarray(shape.vertices), np.asarray(shape.triangles)).shape[1] == 0
+    for angle in (SHARPEST_FACETS, HOLDING_FACETS):
+        assert sharp_edges(np.asarray(shape.vertices), np.asarray(shape.triangles), angle).shape[1] == 0
+
+
+def test_an_element_does_not_cut_the_edge_of_two_facets_that_turn_by_27_degrees() -> None:
+    scene, tip = blown(16), 2e-4
+    vertices, triangles = wedge(tip)
+    vertices[2:4] = [[0.0, y, tip + RIDGE * np.tan(np.radians(13.5))] for y in (-0.05, 0.1)]
+    vertices[4:6] = [[2 * RIDGE, y, tip + RIDGE * np.tan(np.radians(13.5))] for y in (-0.05, 0.1)]
+    scene = jaxform.build_scene(
+        parison=scene.parison,
+        material=scene.material,
+        pressure=scene.pressure,
+        solver=scene.solver,
+        mold=jaxform.make_mold(vertices, triangles),
+        fill=False,
+    )
+    result = jaxform.run(scene)
+    assert int(result.status) == 0
+    x, _, z = np.asarray(result.positions)[:17].T
+    # Nodes in contact on both sides of it, and the chord between them through the edge.
+    assert np.asarray(result.stuck)[:17][(x > 0.0) & (x < 2 * RIDGE)].sum() >= 2
+    np.testing.assert_allclose(np.interp(RIDGE, x, z), tip, atol=1e-7)
+
+
+def test_places_between_both_faces_of_an_edge() -> None:
+    vertices = np.array([[0.0, -1, 0], [0, 1, 0], [-2, 0, 0], [0, 0, 2]])
+    mold = jaxform.make_mold(vertices, np.array([[0, 1, 2], [1, 0, 3]]))
+    edges = jnp.asarray(sharp_edges(vertices, np.asarray(mold.triangles)))
+    corners = edge_contact.edge_corners(mold, edges, jnp.zeros(1, int))
+    places = jnp.asarray([[-1.0, 5, 1], [-3, -7, 0.1], [0.1, 0, 1], [-1, 0, -0.1], [1, 0, -1]]).T
+    assert edge_contact._is_between_faces(vector(places), corners).tolist() == [True, True, False, False, False]
 
 
 def test_a_film_over_a_ridge_between_nodes_has_the_exact_wall_on_both_sides() -> None:
