@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
 import jaxform
+from jaxform import shapes
 
 SCENE = """
 [parison]
@@ -66,3 +69,26 @@ def test_the_remedies_are_possible(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", jaxform.InputWarning)
         jaxform.load(_write(tmp_path, 300, "edge_contact = true\n"))
+
+
+def test_a_pin_within_an_element_is_warned_of_after_the_run_with_edge_contact(tmp_path: Path) -> None:
+    """No side of an element meets it, so nothing is held; how far it comes through is said, and what to do."""
+    sheet = shapes.rectangle(size=[0.1, 0.1], elements=72)
+    middle = sheet.positions[sheet.triangles].mean(1)
+    place = middle[np.argmin(np.linalg.norm(middle - 0.05, axis=1))]
+    plate = trimesh.creation.box(bounds=[(-0.01, -0.01, 0.02), (0.11, 0.11, 0.03)])
+    pin = trimesh.creation.cylinder(radius=3e-4, height=0.019, sections=8)
+    pin.apply_translation((place[0], place[1], 0.0115))
+    trimesh.util.concatenate([plate, pin]).export(tmp_path / "mold.stl")
+    (tmp_path / "scene.toml").write_text(SCENE.format(elements=72) + "edge_contact = true\n")
+    scene = jaxform.load(tmp_path / "scene.toml")
+    result = jaxform.run(scene)
+    assert result.held_sides == 0
+    facts = jaxform.summarize(result, scene)
+    assert facts["penetration_max"] == pytest.approx(0.018, abs=1e-4)
+    np.testing.assert_allclose(facts["penetration_place"][:2], place[:2], atol=3e-4)
+    words = (
+        r"passed through a rib or pin of the mold in 1 place, which stands 0\.018 m above it.* no node met it; "
+        r".*make parison\.element_size smaller there, or replace solver\.edge_contact by \[refinement\]"
+    )
+    assert any(re.search(words, warning) for warning in facts["warnings"]), facts["warnings"]
