@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHARPEST_FACETS = 30.0  # degrees: facets of a round surface turn by less from one to the next
-HOLDING_FACETS = 16.0  # degrees: those at whose edges sides of elements are held turn by more
+HOLDING_FACETS = 10.001  # degrees: those at whose edges sides of elements are held turn by more; 36 in a circle do not
 
 
 def edges(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -25,7 +25,7 @@ from jaxform.results import size_field
 from jaxform.tools.surface_walk import ContactSurface
 from tests import scenes
 
-DOME = [[0.06 * np.sin(angle), 0.06 * np.cos(angle)] for angle in np.linspace(0.0, 0.5 * np.pi, 7)]
+DOME = [[0.06 * np.sin(angle), 0.06 * np.cos(angle)] for angle in np.linspace(0.0, 0.5 * np.pi, 13)]
 LENGTH, RIDGE, WALL, MODULUS = 0.1, 0.0347, 1e-3, 0.2e6
 
 
