@@ -14,6 +14,7 @@ from jaxform.loads import Gas, RegionalLoad, TwoSidedLoad, list_gases
 from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
 from jaxform.mesh import topology
+from jaxform.mesh.rows import distinct_rows
 from jaxform.model.scene import ContactSurface, Scene, enclosed_volumes
 from jaxform.results.sections import symmetry_planes
 from jaxform.tools.crossings import nodal_normals, proper_crossings
@@ -30,8 +31,11 @@ _SAME = 1e-3  # of a distance: one that is as much less is nearer
 _FARTHER = 0.02  # of the sheet's size, that a tool moves off
 _TIMES = 21  # times at which the distance of a tool from the sheet is measured
 _MOST_PLACES = 5000  # vertices of a tool whose distance from the sheet is measured
+_NO_PLACE = 0.0, -1  # the largest of no distances, and its index
+_FLAT = 0.05  # of its largest extent, up to which a sheet's smallest one is that of a flat one
 _MEETINGS = 41  # times, besides the knots of motions, at which two tools are compared
-_ACROSS, _UNLIKE = 0.1, 0.02  # of a tool's longer side of a plane: the shorter one, at least; what it lacks, at least
+_ACROSS = 0.1  # of the longer side of a tool across a plane: the shorter one, at least
+_UNLIKE = 0.02  # of that side, or of the sheet: what a tool lacks of its image, at least
 _MOST_FRICTION = 5.0  # a coefficient of friction that is larger is hardly one
 _BEHIND = 1e-3  # of the sheet's size: as near as that to its surface a place is on neither side
 
@@ -171,6 +175,63 @@ def _warn_of_planes(scene: Scene, tool: Mold, file: str) -> None:
             )
             remedy = f"put its middle into the plane ({key}.translate), or give the whole sheet"
             warn_of(problem, remedy, key=key, file=file)
+
+
+def warn_of_images(scene: Scene, file: str = "") -> None:
+    """Warns of a mold or tool on both sides of a symmetry plane that differs from its image in it.
+
+    The part is simulated on the sheet's side alone. Of a flat sheet, the vertices before the sheet and its image count.
+    """
+    alike = _UNLIKE * float(np.ptp(np.asarray(scene.parison.positions, float), axis=0).max())
+    for surface, (axis, level) in itertools.product(scene.surfaces, symmetry_planes(scene).items()):
+        places, triangles = np.asarray(surface.mold.vertices, float), np.asarray(surface.mold.triangles)
+        offset = places[:, axis] - level
+        short, long = sorted((-float(offset.min()), float(offset.max())))
+        told = surface.mold.name and short < (1.0 - _UNLIKE) * long  # by `_warn_of_planes`
+        if short < _ACROSS * long or told:
+            continue
+        images = _images(places, axis, level)
+        asked = np.flatnonzero(_before_sheet(scene, places, axis, level) & ~_among(images, places, 1e-6 * long))
+        asked = asked[:: 1 + len(asked) // _MOST_PLACES]
+        away, at = _NO_PLACE if not len(asked) else _largest_gap(places, triangles, images[asked], alike)
+        if at >= 0:
+            key = words_of(surface.mold)[1]
+            problem = (
+                f"differs from its image in the symmetry plane {'xyz'[axis]} = {level:g} m by {1e3 * away:.3g} mm, "
+                f"near {format_place(places[asked[at]])}; only the sheet's side of it is simulated"
+            )
+            remedy = f"give the whole sheet (parison.symmetry), or put its middle into the plane ({key}.translate)"
+            warn_of(problem, remedy, key=key, file=file)
+
+
+def _images(places: Array, axis: int, level: float) -> Array:
+    """Places (n, 3) [m] mirrored in a plane across an axis."""
+    images = places.copy()
+    images[:, axis] = 2.0 * level - places[:, axis]
+    return images
+
+
+def _largest_gap(places: Array, triangles: NDArray[Any], points: Array, above: float) -> tuple[float, int]:
+    """The largest distance [m] of points (n, 3) from a surface if above a value, else that; and its index, or -1."""
+    size = float(np.linalg.norm(np.ptp(np.concatenate([places, points]), axis=0)))
+    return Distances(places, triangles, size).largest(points, above)
+
+
+def _among(points: Array, places: Array, width: float) -> NDArray[np.bool_]:
+    """True for points (n, 3) [m] that are in the same cell of a width [m] as a place (m, 3); a few are missed."""
+    label = distinct_rows(np.round(np.concatenate([points, places]) / width).astype(np.int64))[2]
+    return np.isin(label[: len(points)], label[len(points) :])
+
+
+def _before_sheet(scene: Scene, places: Array, axis: int, level: float) -> NDArray[np.bool_]:
+    """True for places (n, 3) [m] before a flat sheet or its image in a plane; for all, if the sheet is not flat."""
+    sheet = np.asarray(scene.parison.positions, float)
+    box = np.ptp(sheet, axis=0)
+    if box.min() > _FLAT * box.max():
+        return np.ones(len(places), bool)
+    whole = np.concatenate([sheet, _images(sheet, axis, level)])
+    inside = (places >= whole.min(0)) & (places <= whole.max(0))
+    return np.delete(inside, int(np.argmin(box)), axis=1).all(1)
 
 
 def _warn_of_reach(scene: Scene, tool: Mold, file: str) -> None:

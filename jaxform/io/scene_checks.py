@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import format_extent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
-from jaxform.io.plausibility import heights_above, warn_of_land, warn_of_motion, warn_of_tools, warn_of_units
+from jaxform.io.plausibility import (
+    heights_above,
+    warn_of_images,
+    warn_of_land,
+    warn_of_motion,
+    warn_of_tools,
+    warn_of_units,
+)
 from jaxform.io.surfaces import mirror_points
 from jaxform.loads import TwoSidedLoad, list_gases
 from jaxform.mechanics.membrane import equibiaxial_energy
@@ -211,6 +218,7 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
     warn_of_units(scene, file)
     if seen.mold is not None:
         _warn_of_mold(scene, seen, file, getattr(tables, "mold", None), sheet)
+    warn_of_images(scene, file)
     warn_of_motion(scene, file)
     if tables is not None:
         warn_of_land(scene, tables, file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,33 @@ def test_a_mold_in_other_units_is_named_with_its_scale(tmp_path: Path, units: fl
     told = _collect_warnings(tmp_path, _with_file(keys))
     assert len(told) == bool(words)
     assert not words or (words in told[0] and "mold.scale" in told[0] and "scene.toml" in told[0])
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "shift", "words"),
+    [
+        ("quarter", 0.0, []),
+        ("quarter", 5e-3, ["differs from its image in the symmetry plane y = 0 m by 5 mm, near "]),
+        ("half", 5e-3, []),
+        ("none", 5e-3, []),
+    ],
+)
+def test_a_mold_that_its_symmetry_plane_does_not_mirror(
+    tmp_path: Path, symmetry: str, shift: float, words: list[str]
+) -> None:
+    """A cup meshed without symmetry, with a thing beside the sheet, and a floor that is deeper on one side of y = 0."""
+    cup = molds.revolved(profile=CUP, segments=49)
+    places = cup.vertices + np.array([0.0, 0.0, shift]) * (
+        (cup.vertices[:, 2:] > 0.04) & (cup.vertices[:, 1:2] < -1e-3)
+    )
+    beside = np.array([[0.2, 0.2, 0.0], [0.25, 0.2, 0.0], [0.2, 0.25, 0.01]])
+    triangles = np.concatenate([cup.triangles, [[len(places), len(places) + 1, len(places) + 2]]])
+    meshes.write_stl(tmp_path / "cup.stl", np.concatenate([places, beside]), triangles)
+    text = re.sub(r'symmetry = "\w+"', f'symmetry = "{symmetry}"', _with_file("fill = false"))
+    assert f'symmetry = "{symmetry}"' in text
+    told = _collect_warnings(tmp_path, text)
+    assert len(told) == len(words), told
+    assert all(expected in text for text, expected in zip(told, words, strict=True))
 
 
 def test_a_sheet_in_millimetres_in_a_mold_in_metres(tmp_path: Path) -> None:
