@@ -50,6 +50,7 @@ _SOFTNESS = 1e-5  # of a held side's own compliance: where more are held than ca
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
 _OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
 _CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals, besides a step's way
+_EDGE_GROUP = 16  # edges for which near sides are found together
 _WIDER = 1.25  # times the spheres that nodes are expected to stay in
 
 
@@ -82,6 +83,11 @@ class HeldSides:
     def overflow(self) -> jax.Array:
         """True where more sides are to be held than there is capacity for."""
         return self.count > self.share.size
+
+    def has_end(self, count: int) -> jax.Array:
+        """True for those of so many nodes (count,) that are the end of a held side."""
+        held = jnp.where(self.step == NOT_HELD, count, self.ends)
+        return jnp.zeros(count, bool).at[held.ravel()].set(True, mode="drop")
 
     def enlarge(self, times: int) -> HeldSides:
         """The same with several times the capacity."""
@@ -186,6 +192,10 @@ def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: 
 # Search for sides that meet edges, while a list of candidates is valid; not differentiable.
 
 
+_Listed = tuple[jax.Array, jax.Array, jax.Array]
+"""Sides (room,), the edge that each can meet, and how many there are."""
+
+
 def list_near_sides(
     candidates: Candidates,
     stuck: jax.Array,
@@ -213,25 +223,44 @@ def list_near_sides(
     one, other = center[:, begin], center[:, end]
     middle, half = 0.5 * (one + other), 0.5 * (other - one)
     reach = jnp.sqrt(dot(half, half)) + jnp.maximum(wide[begin], wide[end])
-    nodes = vector(center)
-    room = 2 * candidates.lists.node.size
-    listed = jnp.zeros(room + begin.size, jnp.int32)
+    room, number = 2 * candidates.lists.node.size, edges.shape[1]
+    listed = jnp.zeros(room + TEST_BLOCK, jnp.int32)
 
-    def add_edge(k: jax.Array, found: tuple[jax.Array, jax.Array, jax.Array]) -> Any:
-        side, edge, count = found
-        a, b = (mold.vertices[edges[corner, k]][:, None] for corner in (0, 1))
+    def add_group(group: jax.Array, found: _Listed) -> _Listed:
+        """Adds the pairs of some edges that are near to each other: with the sides near to the box around them."""
+        first = group * _EDGE_GROUP
+        rows = edges[:2, jnp.minimum(first + jnp.arange(_EDGE_GROUP), number - 1)]
+        ends = mold.vertices[rows].reshape(-1, 3)
+        low, high = (bound(ends, axis=0)[:, None] for bound in (jnp.min, jnp.max))
+        gap = jnp.maximum(jnp.maximum(low - middle, middle - high), 0.0)
+        near = moves & (dot(gap, gap) <= reach * reach)
+        sides, count = materialize(compact_indices(near, near.size + TEST_BLOCK))
+        last = jnp.minimum(first + _EDGE_GROUP, number)
+        return jax.lax.fori_loop(first, last, lambda k, found: add_edge(k, found, sides, count), found)
+
+    def add_edge(k: jax.Array, found: _Listed, sides: jax.Array, count: jax.Array) -> _Listed:
+        corners = edge_corners(mold, edges, k[None])
+        a, b = (jnp.stack(corner) for corner in corners[:2])
         way = b - a
         square = dot(way, way)
-        t = jnp.clip(dot(middle - a, way) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
-        gap = middle - a - t[None] * way
-        between = _is_between_faces(nodes, edge_corners(mold, edges, k[None]))
-        near = moves & (dot(gap, gap) <= reach * reach) & (square > 0.0) & ~(between[begin] & between[end])
-        place, more = compact_indices(near, near.size)
-        begin_at = jnp.minimum(count, room)
-        return put(side, place, begin_at), put(edge, jnp.full_like(place, k), begin_at), count + more
+
+        def test(block: jax.Array, found: _Listed) -> _Listed:
+            own = slice_at(sides, block * TEST_BLOCK, TEST_BLOCK)
+            away, within = middle[:, own] - a, reach[own]
+            t = jnp.clip(dot(away, way) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
+            gap = away - t[None] * way
+            between = [_is_between_faces(vector(x[:, own]), corners) for x in (one, other)]
+            near = (dot(gap, gap) <= within * within) & (square > 0.0) & ~(between[0] & between[1])
+            near &= block * TEST_BLOCK + jnp.arange(TEST_BLOCK) < count
+            place, more = compact_indices(near, TEST_BLOCK)
+            side, edge, total = found
+            at = jnp.minimum(total, room)
+            return put(side, own[place], at), put(edge, jnp.full_like(place, k), at), total + more
+
+        return jax.lax.fori_loop(0, -(-count // TEST_BLOCK), test, found)
 
     none = listed, listed, jnp.int32(0)
-    side, edge, count = jax.lax.fori_loop(0, edges.shape[1], add_edge, none)
+    side, edge, count = jax.lax.fori_loop(0, -(-number // _EDGE_GROUP), add_group, none)
     ends = jnp.stack([begin[side], end[side]])
     overflow, count = count > room, jnp.minimum(count, room)
     return NearSides(ends, edge, count, center, jnp.where(stuck, jnp.inf, radius * radius), overflow)

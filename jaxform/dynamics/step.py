@@ -291,7 +291,8 @@ def _advance_nodes(
     work: jax.Array | float = 0.0
     missed: jax.Array | float = 0.0
     if unresolved_share(scene) is not None:
-        free, both = ~state.stuck & (state.wall == 0), (state.velocities, velocities)
+        both, free = (state.velocities, velocities), ~state.stuck & (state.wall == 0)
+        free = free if current.held is None else free & ~current.held.has_end(free.size)
         missed = total(unresolved_energy(nodal, both, free, (velocity_step, length), scene))
     by_tool = _no_energies(scene, state.velocities.dtype)
     carrier = tool_velocity(frames, state.tool)
@@ -450,13 +451,16 @@ def _unresolved_energy(
     """The sum of `unresolved_energy` [J], by a pass over no nodes where the step is as long as the one before."""
     own, elements = current.nodes, data.active.packed.elements
 
-    def sum_block(table: Any, nodes: Any, before: Any, wall: Any) -> Any:
+    def sum_block(table: Any, nodes: Any, before: Any, wall: Any, on_edge: Any) -> Any:
         nodal = add_gravity(gather_shares(corners, table), nodes[1], scene.solver.gravity)
         after, _ = update_velocity(nodal, before, nodes, steps[0], scene.solver.damping)
-        return [], [unresolved_energy(nodal, (before, after), ~nodes[0] & (wall == 0), steps, scene)]
+        free = ~nodes[0] & (wall == 0)
+        free = free if on_edge is None else free & ~on_edge
+        return [], [unresolved_energy(nodal, (before, after), free, steps, scene)]
 
     nodes = own.stuck, data.active.mass, data.active.compliance
-    inputs = gather_table(elements), nodes, own.velocities, own.wall
+    on_edge = None if current.held is None else current.held.has_end(own.wall.size)
+    inputs = gather_table(elements), nodes, own.velocities, own.wall, on_edge
     count = jnp.where(steps[0] == steps[1], 0, elements.node_block_count)
     return over_blocks(sum_block, count, inputs, [], sums=1)[1][0]
 

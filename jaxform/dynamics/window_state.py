@@ -34,6 +34,8 @@ from jaxform.sheet.state import (
     noise_vector,
 )
 
+_SIDE_LINES = 16  # lines of nodes across a square sheet: as many sides can be held at edges before a run asks for more
+
 
 @pytree
 class WindowState:
@@ -238,5 +240,6 @@ def initial_state(scene: Scene) -> State:
 
 
 def _side_capacity(scene: Scene, positions: jax.Array) -> int:
-    """Capacity of sides held at edges: the number of nodes (3, n_node), or more where a run asked for more pairs."""
-    return positions.shape[1] * scene.tables.pairs_per_node // PAIRS_PER_NODE
+    """Capacity of sides held at edges: some lines of nodes (3, n_node), or more where a run asked for more pairs."""
+    count = positions.shape[1]
+    return min(count, int(_SIDE_LINES * count**0.5)) * scene.tables.pairs_per_node // PAIRS_PER_NODE

@@ -367,11 +367,12 @@ def _remedy_at_edges(scene: Scene) -> str:
     """Remedies for edges of tools that pass between nodes: the options that the scene can use and does not."""
     if scene.refinement is not None:
         return "make parison.element_size smaller, or refinement.max_level larger"
+    finer = "make parison.element_size smaller there, run `jaxform adapt`, or"
     if scene.solver.edge_contact:
-        return "make parison.element_size smaller there, or replace solver.edge_contact by [refinement]"
+        return f"{finer} replace solver.edge_contact by [refinement]"
     if scene.solver.smooth_landing:
         return "make parison.element_size smaller there"
-    return "set solver.edge_contact = true, make parison.element_size smaller there, or add [refinement]"
+    return f"set solver.edge_contact = true, {finer} add [refinement]"
 
 
 def _warnings_of_unmeasured(beyond: Penetration, name: str) -> list[str]:

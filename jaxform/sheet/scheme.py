@@ -104,7 +104,7 @@ def unresolved_energy(
     Args:
         nodal: Forces, three times (n,) [N].
         velocities: Velocities before and after the update, three times (n,) each [m/s].
-        free: Nodes (n,) that touch no tool; on the others the tool bears the force.
+        free: Nodes (n,) that touch no tool, nor end a side held at an edge; on the others the tool bears the force.
         steps: Time step of the velocity update, and length of the step that it begins [s]: 0 where it begins none.
         scene: The scene.
     """
@@ -259,6 +259,7 @@ def _synchronize(packed: PackedState, scene: Scene, active: ActiveSet, volume: j
     missed: jax.Array | float = 0.0
     if account.unresolved is not None:
         both, free = (packed.nodes.velocities, velocities), ~packed.nodes.stuck & (packed.nodes.wall == 0)
+        free = free if packed.held is None else free & ~packed.held.at(active.packed.place).has_end(free.size)
         missed = jnp.sum(unresolved_energy(nodal, both, free, (half, jnp.zeros_like(half)), scene))
     work, by_tool = account.tool_work, account.by_tool
     if work is not None:

@@ -309,7 +309,9 @@ def test_the_remedy_for_edges_between_nodes_is_one_that_the_scene_can_have() -> 
         return [sentence.rsplit("; ", 1)[1] for sentence in sentences]
 
     assert all(words.startswith("set solver.edge_contact = true") for words in remedies())
-    words = "make parison.element_size smaller there, or replace solver.edge_contact by [refinement]"
+    words = (
+        "make parison.element_size smaller there, run `jaxform adapt`, or replace solver.edge_contact by [refinement]"
+    )
     assert remedies(edge_contact=True) == [words] * 2
     assert remedies(smooth_landing=True) == ["make parison.element_size smaller there"] * 2
     refined = dataclasses.replace(
