@@ -89,6 +89,7 @@ def test_a_pin_within_an_element_is_warned_of_after_the_run_with_edge_contact(tm
     np.testing.assert_allclose(facts["penetration_place"][:2], place[:2], atol=3e-4)
     words = (
         r"passed through a rib or pin of the mold in 1 place, which stands 0\.018 m above it.* no node met it; "
-        r".*make parison\.element_size smaller there, or replace solver\.edge_contact by \[refinement\]"
+        r".*make parison\.element_size smaller there, run `jaxform adapt`, or "
+        r"replace solver\.edge_contact by \[refinement\]"
     )
     assert any(re.search(words, warning) for warning in facts["warnings"]), facts["warnings"]
