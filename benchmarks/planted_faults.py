@@ -83,9 +83,9 @@ FAULTS = [
         "(mass * (speed - before))",
     ),
     Fault("step", "jaxform/dynamics/step.py", "2.0 * velocity_step - length, volume)", "length, volume)"),
-    Fault("step", "jaxform/dynamics/step.py", "0.5 * (last.pressure + pressed.pressure)", "pressed.pressure"),
-    Fault("step", "jaxform/dynamics/step.py", "jnp.where(moving.count == 0, 0.5, 1.0) * length", "1.0 * length"),
-    Fault("step", "jaxform/dynamics/step.py", "taken.volume + data.active.idle_volume", "taken.volume"),
+    Fault("step", "jaxform/dynamics/step.py", "0.5 * (last.pressure + load_state.pressure)", "load_state.pressure"),
+    Fault("step", "jaxform/dynamics/step.py", "jnp.where(current.count == 0, 0.5, 1.0) * length", "1.0 * length"),
+    Fault("step", "jaxform/dynamics/step.py", "advanced.volume + data.active.inactive_volume", "advanced.volume"),
     Fault(
         "contact",
         "jaxform/dynamics/contact_step.py",
@@ -137,7 +137,9 @@ FAULTS = [
     Fault("models", "jaxform/sheet/cooling.py", "area * thickness * (1.0 - ratio)", "area * thickness * (ratio - 1.0)"),
     Fault("models", "jaxform/materials/tension_field.py", "turn=(width - 1.0) * both", "turn=width * both"),
     Fault("models", "jaxform/materials/ogden.py", "jnp.square(thickness) - 3.0)", "thickness - 3.0)"),
-    Fault("padding", "jaxform/runs/padding.py", "self.order.triangle_room, NEVER)", "self.order.triangle_room, 0)"),
+    Fault(
+        "padding", "jaxform/runs/padding.py", "self.order.triangle_capacity, NEVER)", "self.order.triangle_capacity, 0)"
+    ),
     Fault("padding", "jaxform/runs/padding.py", "np.asarray(split)[order.triangle]", "np.asarray(split)"),
     Fault("readers", "jaxform/mesh/ply.py", '"binary_big_endian": ">"', '"binary_big_endian": "<"'),
     Fault("readers", "jaxform/mesh/solver_decks.py", 'word.lower().replace("d", "e")', "word.lower()"),
@@ -161,7 +163,9 @@ FAULTS = [
     Fault("closing", "jaxform/prepare/component_validation.py", "level - side * _BEHIND", "level + side * _BEHIND"),
     Fault("closing", "jaxform/tools/parting.py", "*(low - width), *(high + width)", "*low, *(high + width)"),
     Fault("clamp", "jaxform/sheet/state.py", "jnp.minimum(end, until)", "end"),
-    Fault("clamp", "jaxform/sheet/scheme.py", "else 1.0 / 8.0", "else 1.0 / 24.0"),
+    Fault(
+        "clamp", "jaxform/sheet/scheme.py", "if conserves_energy(scene) else 1.0", "if conserves_energy(scene) else 3.0"
+    ),
     Fault("recovery", "jaxform/results/recovery.py", "mean - jnp.sum(slope * first, axis=0), slope", "mean, slope"),
     Fault(
         "recovery",

@@ -119,12 +119,12 @@ def test_a_sheet_that_hangs_over_a_mold_too_small_for_it_is_warned_of() -> None:
 
 
 def test_a_run_that_reaches_its_end_with_energy_missing_says_so() -> None:
-    """Random seed 127, steps too long: a hundredth of the work is missing after a sudden pressure, hardly damped."""
-    drawn = random_scenes.draw(127)
-    solver = dataclasses.replace(drawn.scene.solver, safety=1.6, damping=scenes.real(1.0))
-    _, result = stress.run_drawn(dataclasses.replace(drawn, scene=dataclasses.replace(drawn.scene, solver=solver)))
-    assert float(result.time) == pytest.approx(float(drawn.scene.solver.end_time))
-    assert float(result.energy.balance_error) > 0.01
+    """A disc of 15 elements, hardly damped, is stiffer in the first swing after a sudden pressure than its step allows."""
+    scene = scenes.free_disc(15, 2.0, scenes.mooney(0.1))
+    scene = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, damping=scenes.real(0.5)))
+    result = jaxform.run(jaxform.replace(scene, {"pressure.value": jnp.asarray([0.9, 0.9])}))
+    assert float(result.time) == pytest.approx(float(scene.solver.end_time))
+    assert float(result.energy.balance_error) > 0.02
     assert int(result.status) == Status.UNBALANCED
     assert "misses more than 1 % of the work" in jaxform.explain(result)
 

@@ -132,7 +132,7 @@ def test_a_worker_that_its_cluster_kills_for_its_memory_is_a_row(tmp_path: Path)
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), distributed.LocalCluster(1, **options) as one:
         with workers.connect(one.scheduler_address) as executor:
             found = dict(workers.evaluate(fill, [(k, str(tmp_path)) for k in range(4)], executor))
-    assert found[2] == workers.Outcome(workers.LOST) and "without memory" in workers.LOST
+    assert found[2] == workers.Outcome(workers.LOST) and "lack of memory" in workers.LOST
     assert [found[k].value for k in (0, 1, 3)] == [0, 1, 3]
     assert _count(tmp_path, 2) == 2  # once more, alone
 
