@@ -163,9 +163,7 @@ FAULTS = [
     Fault("closing", "jaxform/prepare/component_validation.py", "level - side * _BEHIND", "level + side * _BEHIND"),
     Fault("closing", "jaxform/tools/parting.py", "*(low - width), *(high + width)", "*low, *(high + width)"),
     Fault("clamp", "jaxform/sheet/state.py", "jnp.minimum(end, until)", "end"),
-    Fault(
-        "clamp", "jaxform/sheet/scheme.py", "if conserves_energy(scene) else 1.0", "if conserves_energy(scene) else 3.0"
-    ),
+    Fault("clamp", "jaxform/sheet/scheme.py", "return 1.0 / 3.0 if", "return 1.0 if"),
     Fault("recovery", "jaxform/results/recovery.py", "mean - jnp.sum(slope * first, axis=0), slope", "mean, slope"),
     Fault(
         "recovery",

@@ -47,10 +47,13 @@ def test_a_pre_stretched_sheet_that_is_let_go_has_its_unstretched_size_again() -
     assert not np.asarray(formed.clamped).any()
 
 
-@pytest.mark.parametrize(("stretch", "damping"), scenes.short_first([(1.02, 30.0), (1.2, 300.0), (1.2, None)]))
+@pytest.mark.parametrize(
+    ("stretch", "damping"), scenes.short_first([(1.02, None), (1.02, 30.0), (1.2, 300.0), (1.2, None)])
+)
 def test_the_energy_that_is_set_free_at_once_is_accounted_for(stretch: float, damping: float | None) -> None:
     result = jaxform.run(_scene(_disc(stretch), damping, 0.06))
-    assert int(result.status) == 0 and float(result.energy.balance_error) < 5e-3
+    assert int(result.status) == 0
+    assert float(result.energy.balance_error) < (1e-3 if damping is None else 5e-3)
 
 
 def _bar(count: int, stretch: float, until: float) -> jaxform.Parison:
