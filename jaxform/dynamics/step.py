@@ -50,6 +50,7 @@ from jaxform.sheet.scheme import (
     add_by_tool,
     add_gravity,
     apply_tool_velocity,
+    touches_no_tool,
     unresolved_energy,
     unresolved_share,
     update_velocity,
@@ -291,8 +292,7 @@ def _advance_nodes(
     work: jax.Array | float = 0.0
     missed: jax.Array | float = 0.0
     if unresolved_share(scene) is not None:
-        both, free = (state.velocities, velocities), ~state.stuck & (state.wall == 0)
-        free = free if current.held is None else free & ~current.held.has_end(free.size)
+        both, free = (state.velocities, velocities), touches_no_tool(state.stuck, state.wall, _on_edge(current))
         missed = total(unresolved_energy(nodal, both, free, (velocity_step, length), scene))
     by_tool = _no_energies(scene, state.velocities.dtype)
     carrier = tool_velocity(frames, state.tool)
@@ -454,15 +454,18 @@ def _unresolved_energy(
     def sum_block(table: Any, nodes: Any, before: Any, wall: Any, on_edge: Any) -> Any:
         nodal = add_gravity(gather_shares(corners, table), nodes[1], scene.solver.gravity)
         after, _ = update_velocity(nodal, before, nodes, steps[0], scene.solver.damping)
-        free = ~nodes[0] & (wall == 0)
-        free = free if on_edge is None else free & ~on_edge
+        free = touches_no_tool(nodes[0], wall, on_edge)
         return [], [unresolved_energy(nodal, (before, after), free, steps, scene)]
 
     nodes = own.stuck, data.active.mass, data.active.compliance
-    on_edge = None if current.held is None else current.held.has_end(own.wall.size)
-    inputs = gather_table(elements), nodes, own.velocities, own.wall, on_edge
+    inputs = gather_table(elements), nodes, own.velocities, own.wall, _on_edge(current)
     count = jnp.where(steps[0] == steps[1], 0, elements.node_block_count)
     return over_blocks(sum_block, count, inputs, [], sums=1)[1][0]
+
+
+def _on_edge(current: WindowState) -> jax.Array | None:
+    """True for nodes (n,) that are the end of a side held at an edge; None where none can be."""
+    return None if current.held is None else current.held.has_end(current.nodes.wall.size)
 
 
 def _split_at(values: list[jax.Array], place: int) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:

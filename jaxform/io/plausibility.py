@@ -14,9 +14,10 @@ from jaxform.loads import Gas, RegionalLoad, TwoSidedLoad, list_gases
 from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
 from jaxform.mesh import topology
+from jaxform.mesh.meshes import mirror_image
 from jaxform.mesh.rows import distinct_rows
 from jaxform.model.scene import ContactSurface, Scene, enclosed_volumes
-from jaxform.results.sections import symmetry_planes
+from jaxform.results.sections import FLAT, symmetry_planes
 from jaxform.tools.crossings import nodal_normals, proper_crossings
 from jaxform.tools.distances import Distances
 from jaxform.tools.mold import Mold, make_mold
@@ -31,8 +32,6 @@ _SAME = 1e-3  # of a distance: one that is as much less is nearer
 _FARTHER = 0.02  # of the sheet's size, that a tool moves off
 _TIMES = 21  # times at which the distance of a tool from the sheet is measured
 _MOST_PLACES = 5000  # vertices of a tool whose distance from the sheet is measured
-_NO_PLACE = 0.0, -1  # the largest of no distances, and its index
-_FLAT = 0.05  # of its largest extent, up to which a sheet's smallest one is that of a flat one
 _MEETINGS = 41  # times, besides the knots of motions, at which two tools are compared
 _ACROSS = 0.1  # of the longer side of a tool across a plane: the shorter one, at least
 _UNLIKE = 0.02  # of that side, or of the sheet: what a tool lacks of its image, at least
@@ -166,7 +165,7 @@ def _warn_of_planes(scene: Scene, tool: Mold, file: str) -> None:
     """Warns of a tool across a symmetry plane whose sides differ: its image is beside it, and both meet the sheet."""
     places, key = np.asarray(tool.vertices, float), words_of(tool)[1]
     for axis, level in symmetry_planes(scene).items():
-        beyond, before = level - float(places[:, axis].min()), float(places[:, axis].max()) - level
+        beyond, before = _reach_across(places, axis, level)
         short, long = sorted((beyond, before))
         if _ACROSS * long < short < (1.0 - _UNLIKE) * long:
             problem = (
@@ -177,6 +176,11 @@ def _warn_of_planes(scene: Scene, tool: Mold, file: str) -> None:
             warn_of(problem, remedy, key=key, file=file)
 
 
+def _reach_across(places: Array, axis: int, level: float) -> tuple[float, float]:
+    """The distances [m] to which places (n, 3) reach on the lower and on the upper side of a plane across an axis."""
+    return level - float(places[:, axis].min()), float(places[:, axis].max()) - level
+
+
 def warn_of_images(scene: Scene, file: str = "") -> None:
     """Warns of a mold or tool on both sides of a symmetry plane that differs from its image in it.
 
@@ -185,15 +189,17 @@ def warn_of_images(scene: Scene, file: str = "") -> None:
     alike = _UNLIKE * float(np.ptp(np.asarray(scene.parison.positions, float), axis=0).max())
     for surface, (axis, level) in itertools.product(scene.surfaces, symmetry_planes(scene).items()):
         places, triangles = np.asarray(surface.mold.vertices, float), np.asarray(surface.mold.triangles)
-        offset = places[:, axis] - level
-        short, long = sorted((-float(offset.min()), float(offset.max())))
+        short, long = sorted(_reach_across(places, axis, level))
         told = surface.mold.name and short < (1.0 - _UNLIKE) * long  # by `_warn_of_planes`
         if short < _ACROSS * long or told:
             continue
-        images = _images(places, axis, level)
+        images = mirror_image(places, axis, level)
         asked = np.flatnonzero(_before_sheet(scene, places, axis, level) & ~_among(images, places, 1e-6 * long))
         asked = asked[:: 1 + len(asked) // _MOST_PLACES]
-        away, at = _NO_PLACE if not len(asked) else _largest_gap(places, triangles, images[asked], alike)
+        if not len(asked):
+            continue
+        size = float(np.linalg.norm(np.ptp(np.concatenate([places, images[asked]]), axis=0)))
+        away, at = Distances(places, triangles, size).largest(images[asked], alike)
         if at >= 0:
             key = words_of(surface.mold)[1]
             problem = (
@@ -202,19 +208,6 @@ def warn_of_images(scene: Scene, file: str = "") -> None:
             )
             remedy = f"give the whole sheet (parison.symmetry), or put its middle into the plane ({key}.translate)"
             warn_of(problem, remedy, key=key, file=file)
-
-
-def _images(places: Array, axis: int, level: float) -> Array:
-    """Places (n, 3) [m] mirrored in a plane across an axis."""
-    images = places.copy()
-    images[:, axis] = 2.0 * level - places[:, axis]
-    return images
-
-
-def _largest_gap(places: Array, triangles: NDArray[Any], points: Array, above: float) -> tuple[float, int]:
-    """The largest distance [m] of points (n, 3) from a surface if above a value, else that; and its index, or -1."""
-    size = float(np.linalg.norm(np.ptp(np.concatenate([places, points]), axis=0)))
-    return Distances(places, triangles, size).largest(points, above)
 
 
 def _among(points: Array, places: Array, width: float) -> NDArray[np.bool_]:
@@ -227,9 +220,9 @@ def _before_sheet(scene: Scene, places: Array, axis: int, level: float) -> NDArr
     """True for places (n, 3) [m] before a flat sheet or its image in a plane; for all, if the sheet is not flat."""
     sheet = np.asarray(scene.parison.positions, float)
     box = np.ptp(sheet, axis=0)
-    if box.min() > _FLAT * box.max():
+    if box.min() > FLAT * box.max():
         return np.ones(len(places), bool)
-    whole = np.concatenate([sheet, _images(sheet, axis, level)])
+    whole = np.concatenate([sheet, mirror_image(sheet, axis, level)])
     inside = (places >= whole.min(0)) & (places <= whole.max(0))
     return np.delete(inside, int(np.argmin(box)), axis=1).all(1)
 

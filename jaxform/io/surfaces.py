@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.io.canvas import TO_EYE, DrawnSurface, View
-from jaxform.mesh import topology
+from jaxform.mesh import meshes, topology
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.part import restrict_to_part
@@ -120,7 +120,7 @@ def mirror_points(scene: Scene, points: Array, open_front: bool = False) -> list
         image = np.array(points)
         for (axis, place), flip in zip(planes.items(), flips, strict=True):
             if flip:
-                image[..., axis] = 2 * place - image[..., axis]
+                image = meshes.mirror_image(image, axis, place)
         images.append(image)
     if not open_front or len(images) != 4:
         return images

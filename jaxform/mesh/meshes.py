@@ -119,6 +119,13 @@ def box_sides(mesh: Mesh) -> NDArray[np.float64]:
     return np.ptp(mesh.positions[np.unique(mesh.triangles)], axis=0)
 
 
+def mirror_image(points: ArrayLike, axis: int, level: float) -> Array:
+    """The image of points (..., 3) [m] in the plane across an axis, 0 to 2 for x to z, at a place [m] along it."""
+    image = np.array(points)
+    image[..., axis] = 2.0 * level - image[..., axis]
+    return image
+
+
 def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
     """Merges coincident nodes and drops unused ones.
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import format_place
 from jaxform.loads import list_gases
 from jaxform.mechanics import membrane
+from jaxform.mesh import meshes
 from jaxform.model.part import Part
 from jaxform.model.scene import Scene
 from jaxform.results import sections
@@ -202,9 +203,7 @@ def _images(scene: Scene, walls: Array) -> list[Array]:
     """The mold's vertices and their images in the symmetry planes: a mold may be cut there or not."""
     images = [walls]
     for axis, level in sections.symmetry_planes(scene).items():
-        image = walls.copy()
-        image[:, axis] = 2 * level - image[:, axis]
-        images.append(image)
+        images.append(meshes.mirror_image(walls, axis, level))
     return images
 
 

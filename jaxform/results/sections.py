@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_FLAT = 0.05  # of its largest extent, up to which a sheet's smallest one is that of a flat one
+FLAT = 0.05  # of its largest extent, up to which a sheet's smallest one is that of a flat one
 
 
 class SectionCurve(NamedTuple):
@@ -101,7 +101,7 @@ def curves(
     extent = np.ptp(start, axis=0)
     longest = np.argsort(-extent, kind="stable").tolist()
     ordered = sorted(longest[:2], reverse=True)
-    if extent[longest[2]] > _FLAT * extent[longest[0]]:
+    if extent[longest[2]] > FLAT * extent[longest[0]]:
         # Along a tube or preform first, then around it.
         ordered = [longest[1], longest[0]]
     found = []

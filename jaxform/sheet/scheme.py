@@ -104,12 +104,18 @@ def unresolved_energy(
     Args:
         nodal: Forces, three times (n,) [N].
         velocities: Velocities before and after the update, three times (n,) each [m/s].
-        free: Nodes (n,) that touch no tool, nor end a side held at an edge; on the others the tool bears the force.
+        free: Nodes (n,), as `touches_no_tool` finds them.
         steps: Time step of the velocity update, and length of the step that it begins [s]: 0 where it begins none.
         scene: The scene.
     """
     before, after = map(vector, velocities)
     return jnp.where(free, unresolved_factor(*steps, scene) * membrane.dot(nodal, membrane.minus(after, before)), 0.0)
+
+
+def touches_no_tool(stuck: jax.Array, wall: jax.Array, on_edge: jax.Array | None) -> jax.Array:
+    """True for nodes (n,) whose force no clamp and no tool bears; `on_edge` is true at ends of sides held at edges."""
+    free = ~stuck & (wall == 0)
+    return free if on_edge is None else free & ~on_edge
 
 
 def unresolved_factor(velocity_step: jax.Array, length: jax.Array, scene: Scene) -> jax.Array:
@@ -258,8 +264,9 @@ def _synchronize(packed: PackedState, scene: Scene, active: ActiveSet, volume: j
     velocities, losses = update_velocity(nodal, packed.nodes.velocities, nodes, half, scene.solver.damping)
     missed: jax.Array | float = 0.0
     if account.unresolved is not None:
-        both, free = (packed.nodes.velocities, velocities), ~packed.nodes.stuck & (packed.nodes.wall == 0)
-        free = free if packed.held is None else free & ~packed.held.at(active.packed.place).has_end(free.size)
+        both, held = (packed.nodes.velocities, velocities), packed.held
+        on_edge = None if held is None else held.at(active.packed.place).has_end(packed.nodes.wall.size)
+        free = touches_no_tool(packed.nodes.stuck, packed.nodes.wall, on_edge)
         missed = jnp.sum(unresolved_energy(nodal, both, free, (half, jnp.zeros_like(half)), scene))
     work, by_tool = account.tool_work, account.by_tool
     if work is not None:

@@ -178,10 +178,7 @@ Plane = tuple[int, float]
 
 def _mirror(mesh: Mesh, plane: Plane) -> Mesh:
     """The mesh mirrored in a plane."""
-    axis, level = plane
-    positions = mesh.positions.copy()
-    positions[:, axis] = 2 * level - positions[:, axis]
-    return Mesh(positions, mesh.triangles[:, ::-1])
+    return Mesh(meshes.mirror_image(mesh.positions, *plane), mesh.triangles[:, ::-1])
 
 
 Completion = tuple[Mesh, list[Plane]]

@@ -174,22 +174,17 @@ def mirror(wall: WallSurface, axis: int, level: float) -> WallSurface:
     count = len(away)
     image = np.where(on, np.arange(count), count - 1 + np.cumsum(~on))
 
-    def reflect(points: Array, place: float | Array) -> Array:
-        points = points.copy()
-        points[:, axis] = 2.0 * place - points[:, axis]
-        return points[~on]
-
     positions = wall.positions.copy()
     positions[on, axis] = level
     planes = {key: place for key, place in wall.planes.items() if key != axis}
     return replace(
         wall,
-        positions=np.concatenate([positions, reflect(positions, level)]),
+        positions=np.concatenate([positions, meshes.mirror_image(positions[~on], axis, level)]),
         # Turned, so that all normals agree.
         triangles=np.concatenate([wall.triangles, image[wall.triangles][:, [0, 2, 1]]]),
         thickness=np.concatenate([wall.thickness, wall.thickness[~on]]),
         element_thickness=np.tile(wall.element_thickness, 2),
-        reference=np.concatenate([wall.reference, reflect(wall.reference, level)]),
+        reference=np.concatenate([wall.reference, meshes.mirror_image(wall.reference[~on], axis, level)]),
         held=np.concatenate([wall.held, wall.held[~on]]),
         planes=planes,
         words=(*wall.words, f"with its image in the plane {value} m"),
