@@ -61,7 +61,7 @@ def simulate(arguments: argparse.Namespace) -> int:
 
 def _warn_of_scene(scene: Scene, document: Any, warned: list[str]) -> None:
     """Warns of likely errors in the scene while programs are loaded or compiled; then prepares to write the results."""
-    from jaxform.io import files
+    from jaxform.io import files, scene_checks
 
     def tell(sentence: str) -> None:
         if sentence not in warned:
@@ -70,6 +70,8 @@ def _warn_of_scene(scene: Scene, document: Any, warned: list[str]) -> None:
 
     with redirect_warnings(tell):
         files.review_scene(scene, document)
+        if scene.mold is not None and document.model.mold.shape == "file":
+            scene_checks.warn_of_side_holes(scene, document.file)
     import meshio  # noqa: F401
     import scipy.spatial  # noqa: F401
 
@@ -163,6 +165,7 @@ def _thinnest(found: dict[str, Any]) -> str:
         "around its circle" if found["scatter_of"] == "ring" else "among the elements there",
     )
     return (
-        f"thinnest wall, recovered from the elements: {1e3 * found['recovered']:.4g} mm at {where}; scatter "
+        f"thinnest wall, recovered from the elements: {1e3 * found['recovered']:.4g} mm, "
+        f"{100 * found['recovered_ratio']:.3g} % of the initial thickness there, at {where}; scatter "
         f"{100 * found['scatter']:.2g} % {around}"
     )

@@ -30,6 +30,7 @@ from jaxform.io.surfaces import (
     sheet_view,
     tool_colors,
     tool_faces,
+    varies_across,
 )
 from jaxform.model.replacement import number_at
 from jaxform.model.scene import Scene
@@ -47,7 +48,6 @@ _BEFORE, AFTER, _EXACT = "#7f7f7f", "#0072b2", "#d55e00"
 _FAINT = {"color": "#c8c8c8", "alpha": 0.7, "zorder": 1}  # of what is formed with the part, but cut off it
 _POINTS = {"marker": "o", "linestyle": "none"}
 _KEPT = 5e-3  # of a limit, by which it may be broken
-_GROUPS, _ACROSS = 40, 0.1  # of nodes along the sheet; of its variance, what a field has within these at least
 
 
 def thickness_picture(
@@ -301,7 +301,8 @@ def _designed_field(before: Scene, after: Scene) -> tuple[str, str] | None:
     The thickness of a flat sheet is a field where it is none of the place along which it would be drawn.
     """
     if not np.array_equal(before.parison.thickness, after.parison.thickness):
-        return ("parison.thickness", "initial thickness [mm]") if _varies_across(after) else None
+        varies = is_flat(after) and varies_across(_places_along(after)[0], np.asarray(after.parison.thickness, float))
+        return ("parison.thickness", "initial thickness [mm]") if varies else None
     varying = {f"material.{name}": name for name, values in after.material.zones.items() if values.ndim == 1}
     units = {name: allowed.unit for name, allowed in parameter_ranges(after.material).items()}
     words = {key: f"{name} over the sheet" + f" [{units[name]}]" * bool(units[name]) for key, name in varying.items()}
@@ -310,16 +311,6 @@ def _designed_field(before: Scene, after: Scene) -> tuple[str, str] | None:
         if new is not None and (old is None or not np.array_equal(new, old)):
             return key, text
     return None
-
-
-def _varies_across(scene: Scene) -> bool:
-    """True if the thickness of a flat sheet differs between nodes at nearly the same place along the sheet."""
-    if not is_flat(scene):
-        return False
-    thickness = np.asarray(scene.parison.thickness, float)[np.argsort(_places_along(scene)[0])]
-    groups = np.array_split(thickness, max(1, min(_GROUPS, len(thickness) // 8)))
-    within = np.concatenate([group - group.mean() for group in groups])
-    return bool(np.var(within) > _ACROSS * np.var(thickness))
 
 
 def _places_along(scene: Scene) -> tuple[Array, str]:

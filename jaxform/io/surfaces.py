@@ -223,6 +223,7 @@ def _outline(scene: Scene, vertices: Array, triangles: NDArray[Any], crosses: bo
 # Ranges of colours for many numbers, and the points that the eye tells apart, for pictures and the report.
 
 _FINENESS = 500  # points that the eye tells apart along a side of a diagram
+_GROUPS, _ACROSS = 40, 0.1  # of nodes along the sheet; of its variance, what a field has within these at least
 _MOVED = 0.02  # of the farthest way an element went: one that went less was not formed
 _MOST = 0.98  # of the formed area, the colours tell apart; the thickest have one colour
 
@@ -265,3 +266,11 @@ def distinguishable_points(across: Array, up: Array) -> NDArray[np.int64]:
     """Indices of the points to draw, out of many: one in each place that the eye can distinguish."""
     cells = [np.round(_FINENESS * (x - x.min()) / (np.ptp(x) or 1.0)).astype(np.int64) for x in (across, up)]
     return np.unique(cells[0] * (_FINENESS + 1) + cells[1], return_index=True)[1]
+
+
+def varies_across(place: Array, values: Array) -> bool:
+    """True if values (n,) differ between nodes at nearly the same place (n,) along a sheet, as those of a field do."""
+    ordered = values[np.argsort(place)]
+    groups = np.array_split(ordered, max(1, min(_GROUPS, len(ordered) // 8)))
+    within = np.concatenate([group - group.mean() for group in groups])
+    return bool(np.var(within) > _ACROSS * np.var(ordered))

@@ -199,7 +199,8 @@ def thinnest_recovered(result: Result, scene: Scene) -> dict[str, Any]:
     """The least recovered thickness of the nodes that are not clamped, its place, and the scatter around it.
 
     Returns:
-        `recovered` [m], `recovered_place` (3,) [m] in the part, `scatter` (the relative standard deviation), and
+        `recovered` [m], `recovered_ratio` to the initial thickness there, `recovered_place` (3,) [m] in the part,
+        `scatter` (the relative standard deviation), and
         `scatter_of`: 'ring' where sheet and mold are round, and it is that of the least recovered thickness around the
         axis; 'patch' elsewhere, where it is that of the elements which meet at the node, by initial area.
     """
@@ -213,6 +214,7 @@ def thinnest_recovered(result: Result, scene: Scene) -> dict[str, Any]:
     of_ring = len(around) >= _FEWEST
     return {
         "recovered": float(wall[node]),
+        "recovered_ratio": float(wall[node] / np.asarray(scene.parison.thickness, float)[node]),
         "recovered_place": np.asarray(result.positions, float)[node].tolist(),
         "scatter": _spread(around, np.ones(len(around))) if of_ring else _spread(*_patch(result, scene, node)),
         "scatter_of": "ring" if of_ring else "patch",

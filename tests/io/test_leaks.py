@@ -1,4 +1,4 @@
-"""Holes in side walls of a mold, before which a sheet lies, are named by `jaxform check` with place and size."""
+"""Holes in side walls of a mold, before which a sheet lies, are named before a run with place and size."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 import jaxform
 from benchmarks.strangers import file_molds
-from jaxform.cli import command
+from jaxform.cli import command, simulate_command
 from jaxform.io import files
 from jaxform.io.scene_checks import warn_of_side_holes
 from jaxform.tools.molds import rotation
@@ -90,6 +90,12 @@ def test_a_whole_box_and_one_at_a_distance_have_none(tmp_path: Path) -> None:
 def test_the_command_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert command.main(["check", str(_write(tmp_path, WINDOWS))]) == 0
     assert "2 holes in side walls" in capfd.readouterr().err
+
+
+def test_a_simulation_says_so_too(tmp_path: Path) -> None:
+    document, warned = files.read_scene(str(_write(tmp_path, WINDOWS))), []
+    simulate_command._warn_of_scene(files.build(document), document, warned)
+    assert sum("2 holes in side walls" in words for words in warned) == 1
 
 
 def test_which_way_the_sheet_is_pushed_does_not_matter(tmp_path: Path) -> None:

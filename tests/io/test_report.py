@@ -7,6 +7,7 @@ import dataclasses
 import itertools
 import json
 import re
+import shutil
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,7 +31,7 @@ NAME = "cup <script>alert(1)</script> & more"
 RADIUS = np.hypot(*SHEET.positions[:, :2].T) / 0.1
 
 
-def _write_part(path: Path, height: float, sheet: float = 1e-3) -> dict[str, Array]:
+def _write_part(path: Path, height: float, sheet: float | Array = 1e-3) -> dict[str, Array]:
     """Writes a cap of a height over the sheet and returns its data; the outer half touches, from the rim inwards.
 
     Its wall is by no law: from 0.2 mm in the middle to 1 mm at the rim; that of no height is the sheet.
@@ -68,6 +69,7 @@ def _summary(part: dict[str, Array]) -> dict[str, Any]:
         "thickness": {"min": walls.min(), "mean": mean, "max": walls.max(), "cv": 0.25},
         "thinnest": {
             "thickness": walls.min(),
+            "ratio": 0.25,
             "formed": part["positions"][thin].mean(0).tolist(),
             "initial": SHEET.positions[thin].mean(0).tolist(),
         },
@@ -214,6 +216,7 @@ def test_the_page_says_what_the_summary_says_and_asks_nobody(folder: Path) -> No
     summary = json.loads((folder / "summary.json").read_text())
     for value, unit in ((summary["thickness"]["min"], "mm"), (summary["thickness"]["mean"], "mm")):
         assert f"{1e3 * value:.4g} {unit}" in text
+    assert f"{1e3 * summary['thickness']['min']:.4g} mm, 25 % of the initial thickness" in text
     assert f"{1e3 * 4 * summary['mass']:.4g} g (a quarter of it is modelled: {1e3 * summary['mass']:.4g} g)" in text
     assert "cup &lt;script&gt;alert(1)&lt;/script&gt; &amp; more" in text and "<script>alert" not in text
     assert "the mold is &lt;b&gt;doubtful&lt;/b&gt;; turn it" in text and "&lt;cup&gt;" in text
@@ -455,6 +458,32 @@ def test_the_process_has_a_diagram_for_each_panel() -> None:
     ]
 
 
+def _write_field(design: Path, folder: Path) -> Array:
+    """Copies the results of a search, of which the best sheet is a field [m] that varies around the axis."""
+    shutil.copytree(design, folder)
+    field = 1e-3 * (1.0 + 0.3 * np.sin(4.0 * np.arctan2(SHEET.positions[:, 1], SHEET.positions[:, 0])))
+    _write_part(folder / "final.vtu", 0.05, sheet=field)
+    return field
+
+
+def test_a_designed_field_is_a_map_and_a_profile_a_line(design: Path, tmp_path: Path) -> None:
+    """A field has thousands of values at about the same radius, which are a cloud along it."""
+    field = _write_field(design, tmp_path / "field")
+    results = stored_results.read_results(tmp_path / "field")
+    (chart,) = [one for one in charts.pack_charts(results, contents.Parcel()) if one["title"] == "The initial sheet"]
+    assert chart["series"] == [] and chart["legend"] == "start: 2 everywhere"
+    assert chart["map"]["part"] == 0 and chart["map"]["words"] == "initial thickness [mm]"
+    np.testing.assert_allclose([chart["map"][end] for end in ("low", "high")], [1e3 * field.min(), 2.0])
+    # A start that is a field, too, has a map of its own.
+    assert results.start is not None
+    start = results.start._replace(nodal=results.start.nodal | {"initial_thickness": field[::-1]})
+    both = charts._initial(start, results.part, {}, contents.Parcel())
+    assert [one["map"]["part"] for one in both] == [0, 1] and not any(one["legend"] for one in both)
+    profile = results.part._replace(nodal=results.part.nodal | {"initial_thickness": 1e-3 * (1.0 + RADIUS)})
+    (chart,) = charts._initial(results.start, profile, {}, contents.Parcel())
+    assert len(chart["series"]) == 2 and "map" not in chart
+
+
 def test_the_wall_beyond_the_part_is_grey(folder: Path) -> None:
     """The curve of the part ends where it is cut off; clicks on both show the place."""
     results = stored_results.read_results(folder)
@@ -660,6 +689,32 @@ def test_a_design_is_shown_beside_its_start(page: browser.Browser, design: Path)
         assert title in titles
     assert page.value("document.querySelectorAll('svg.chart').length") == 4
     assert page.complaints == [] and page.requests == [(design / "report.html").as_uri()]
+
+
+def test_a_field_is_drawn_as_a_map(page: browser.Browser, design: Path, tmp_path: Path) -> None:
+    field = 1e3 * _write_field(design, tmp_path / "field")
+    _visit(page, report.write_report(tmp_path / "field"))
+    drawn = "[...document.querySelectorAll('svg.map path:not(.axis)')]"
+    assert page.value(
+        f"{drawn}.map((path) => path.getAttribute('d').split('M').length - 1).reduce((a, b) => a + b)"
+    ) == (len(SHEET.triangles))
+    assert page.value(f"{drawn}.length") > 5  # shades
+    legend = page.value("document.querySelector('.ramp').innerText")
+    assert legend == f"initial thickness [mm]: {field.min():.3g}2" and "start: 2 everywhere" in page.value(
+        "document.querySelector('.ramp').parentNode.innerText"
+    )
+    # The reading is that of the nearest node.
+    box = page.value(
+        "(({left, top, width}) => [left, top, width])(document.querySelector('svg.map').getBoundingClientRect())"
+    )
+    page.value(
+        "document.querySelector('svg.map').dispatchEvent(new PointerEvent('pointermove', "
+        f"{{clientX: {box[0] + 0.5 * box[2]}, clientY: {box[1] + 0.2 * box[2]}}}))"
+    )
+    value, place = page.value("document.querySelector('svg.map .value').textContent").split(" mm at (")
+    away = np.hypot(*(1e3 * SHEET.positions[:, :2] - np.array(place.split(")")[0].split(","), float)).T)
+    assert away.min() < 0.05 and float(value) == pytest.approx(field[np.argmin(away)], rel=1e-3)
+    assert page.complaints == []
 
 
 def test_without_webgl_the_tables_and_diagrams_are_there(page: browser.Browser, folder: Path) -> None:

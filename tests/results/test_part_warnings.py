@@ -107,8 +107,11 @@ def test_walls_that_are_stretched_beyond_any_sense() -> None:
     stretches[3] = [20.0, 10.0]
     told = warnings_of_part(_part(scene, 0.5, contact_time=touched, stretches=stretches), scene)
     assert len(told) == 1 and "an element without contact" in told[0] and "0.5 % of the initial" in told[0]
-    stretches[3] = [9.0, 9.0]
+    stretches[3] = [4.0, 4.0]
     assert warnings_of_part(_part(scene, 0.5, contact_time=touched, stretches=stretches), scene) == []
+    stretches[3] = [9.0, 9.0]
+    balloon = dataclasses.replace(scene, mold=None)
+    assert warnings_of_part(_part(balloon, 0.5, contact_time=touched, stretches=stretches), balloon) == []
 
 
 def test_walls_that_no_sheet_bears() -> None:
@@ -125,8 +128,13 @@ def test_walls_that_no_sheet_bears() -> None:
     assert len(told) == 1 and f"0.5 % of the initial thickness (5e-05 m) at ({x:.4g}, {y:.4g}, {z:.4g}) m" in told[0]
     assert "an area draw ratio of 200" in told[0]
     # Just above the limit nothing is said, nor of what is no part: here, all that is lower than the trim plane.
-    stretches[3], stretches[8] = [7.0, 7.0], [1.0, 1.0]
+    stretches[3], stretches[8] = [4.45, 4.45], [1.0, 1.0]
     assert warnings_of_part(dataclasses.replace(part, stretches=stretches), scene) == []
+    # A deep cup that thins 35 times, on the mold or in a corner that is not filled.
+    stretches[3], stretches[8] = [7.0, 5.0], [1.0, 1.0]
+    for touches in (walls, np.zeros_like(walls)):
+        told = warnings_of_part(dataclasses.replace(part, stretches=stretches, wall=touches), scene)
+        assert len(told) == 1 and "an area draw ratio of 35" in told[0]
     stretches[3] = [20.0, 10.0]
     assert len(warnings_of_part(dataclasses.replace(part, stretches=stretches), scene)) == 1
     trimmed = dataclasses.replace(scene, part=make_part(trim=("z", float(z) + 1e-3, "above")))
@@ -137,10 +145,12 @@ def test_the_thinnest_place_is_told_in_the_part_and_in_the_sheet() -> None:
     scene = scenes.cup()
     walls = np.full(len(scene.parison.triangles), 0.01)
     walls[7] = 0.004
-    part = _part(scene, 0.5, element_thickness=walls)
+    stretches = np.ones((len(walls), 2))
+    stretches[7] = [2.5, 1.0]
+    part = _part(scene, 0.5, element_thickness=walls, stretches=stretches)
     # The thickness of unused elements is 0.
     walls[9], part.used[9] = 0.0, False
     found, nodes = thinnest_element(part, scene), np.asarray(scene.parison.triangles)[7]
-    assert found["thickness"] == 0.004
+    assert found["thickness"] == 0.004 and found["ratio"] == 0.4
     np.testing.assert_allclose(found["formed"], part.positions[nodes].mean(0))
     np.testing.assert_allclose(found["initial"], np.asarray(scene.parison.positions)[nodes].mean(0))

@@ -54,6 +54,8 @@ def test_scatter_around_a_ring_is_that_of_its_thickness(symmetry: str, elements:
     found = thinnest_recovered(_part(scene, wall), scene)
     assert found["scatter_of"] == "ring"
     assert found["recovered"] == wall.min()
+    initial = np.asarray(scene.parison.thickness)[np.argmin(wall)]
+    assert found["recovered_ratio"] == pytest.approx(wall.min() / initial)
     assert np.hypot(*found["recovered_place"][:2]) == pytest.approx(0.55, abs=0.03)
     # The root of the mean square of a cosine, within what the least of two nodes takes off its tops.
     assert found["scatter"] == pytest.approx(0.02 / np.sqrt(2), rel=0.1)

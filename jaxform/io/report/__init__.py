@@ -20,7 +20,7 @@ from jaxform.io.report.contents import Parcel, pack_parts
 from jaxform.io.report.stored_results import Results, read_results
 
 NAME = "report.html"
-_SCRIPTS = ("unpack", "chart", "part", "shaders", "view", "words", "overlay", "controls", "page")
+_SCRIPTS = ("unpack", "chart", "map", "part", "shaders", "view", "words", "overlay", "controls", "page")
 
 
 def write_report(folder: str | Path) -> Path:

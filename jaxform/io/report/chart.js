@@ -176,9 +176,7 @@ function follow(svg, scale, series, points, units, visit) {
 
 // The point that is nearest to the pointer, above all across: its values, its number, and that of its line.
 function nearest(svg, scale, points, event) {
-  const box = svg.getBoundingClientRect(),
-    factor = WIDTH / box.width,
-    [px, py] = [(event.clientX - box.left) * factor, (event.clientY - box.top) * factor];
+  const [px, py] = pointer(svg, event);
   let best = Infinity,
     found = null;
   points.forEach((some, index) => {
@@ -190,6 +188,13 @@ function nearest(svg, scale, points, event) {
     }
   });
   return found;
+}
+
+// Where the pointer is in a diagram.
+function pointer(svg, event) {
+  const box = svg.getBoundingClientRect(),
+    factor = WIDTH / box.width;
+  return [(event.clientX - box.left) * factor, (event.clientY - box.top) * factor];
 }
 
 function set(node, attributes) {

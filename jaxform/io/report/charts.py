@@ -14,7 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 from jaxform.io.canvas import PRESSURE_COLORS
 from jaxform.io.report.contents import Parcel, symmetry_of
 from jaxform.io.report.stored_results import Results, StoredPart
-from jaxform.io.surfaces import MOLD_COLOR, counted_elements, distinguishable_points, tool_colors
+from jaxform.io.surfaces import (
+    MOLD_COLOR,
+    counted_elements,
+    distinguishable_points,
+    is_flat,
+    tool_colors,
+    varies_across,
+)
 from jaxform.mesh import topology
 from jaxform.results import sections
 from jaxform.results.sections import SectionCurve
@@ -124,6 +131,7 @@ def _clamped_nodes(part: StoredPart, symmetry: Mapping[str, float]) -> NDArray[n
 _KEPT = 5e-3  # of a limit, by which it may be broken
 
 
+_EVEN = 1e-6  # of a field's largest value, by which it may vary where it is one number
 _DESIGNED = {
     "initial_thickness": ("initial thickness [mm]", 1e3),
     "temperature": ("temperature of the sheet [°C]", 1.0),
@@ -134,12 +142,12 @@ def pack_charts(results: Results, parcel: Parcel) -> list[Chart]:
     """Packs the points of the diagrams; returns their titles, axes and lines, as plain numbers and words."""
     charts = [_wall(results, parcel)]
     if results.start is not None:
-        charts += _initial(results.start, results.part, is_disc(results.part, symmetry_of(results)), parcel)
+        charts += _initial(results.start, results.part, symmetry_of(results), parcel)
     if results.process:
         charts += _process(results.process, results.release, parcel)
     if results.history:
         charts += _history(results.history, parcel)
-    return [chart for chart in charts if chart["series"]]
+    return [chart for chart in charts if chart["series"] or "map" in chart]
 
 
 _CUT_OFF = "#c8c8c8"  # of the wall beyond the part
@@ -176,13 +184,19 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
     return _chart(title, f"{where} [mm]", "wall thickness [mm]", [*beyond, *series], zero=True)
 
 
-def _initial(start: StoredPart, best: StoredPart, disc: bool, parcel: Parcel) -> list[Chart]:
-    """Chart of the thickness or temperature that the search changed, over the initial sheet; empty without one."""
+def _initial(start: StoredPart, best: StoredPart, symmetry: Mapping[str, float], parcel: Parcel) -> list[Chart]:
+    """Chart of the thickness or temperature that the search changed, over the initial sheet; empty without one.
+
+    A field over a flat sheet is a map, anything else points along it.
+    """
     changed = [name for name in _DESIGNED if name in best.nodal and not _same(start.nodal.get(name), best.nodal[name])]
     if not changed:
         return []
     (words, factor), name = _DESIGNED[changed[0]], changed[0]
-    along = int(np.argmax(np.ptp(best.reference, axis=0)))
+    disc, along = is_disc(best, symmetry), int(np.argmax(np.ptp(best.reference, axis=0)))
+    place = np.hypot(*best.reference[:, :2].T) if disc else best.reference[:, along]
+    if is_flat(_scene(best, symmetry)) and varies_across(place, best.nodal[name]):
+        return _maps(start, best, name)
     series = []
     for role, label, part in (("after", "best design", best), ("before", "start", start)):
         if name not in part.nodal:
@@ -193,6 +207,25 @@ def _initial(start: StoredPart, best: StoredPart, disc: bool, parcel: Parcel) ->
         series.append({"label": label, "role": role, "dots": True, **points})
     where = "initial radius" if disc else f"initial {'xyz'[along]}"
     return [_chart("The initial sheet", f"{where} [mm]", words, series, zero=factor > 1.0)]
+
+
+def _maps(start: StoredPart, best: StoredPart, name: str) -> list[Chart]:
+    """Maps of a designed field over the initial sheet: of the best design, and of the start if it varies, too.
+
+    They have one range of colours, and are drawn from the meshes and values of the parts in the view.
+    """
+    words, factor = _DESIGNED[name]
+    fields = [factor * part.nodal[name] for part in (best, start) if name in part.nodal]
+    low, high = (float(end(np.concatenate(fields))) for end in (np.min, np.max))
+    varies = [number for number, field in enumerate(fields) if np.ptp(field) > _EVEN * np.abs(field).max()]
+    legend = f"start: {fields[1].mean():.4g} everywhere" if 1 not in varies and len(fields) == 2 else ""
+    titles = ["The initial sheet", "The initial sheet, start"]
+    return [
+        _chart(titles[number], "x [mm]", "y [mm]", [])
+        | {"map": {"part": number, "key": name, "factor": factor, "low": low, "high": high, "words": words}}
+        | {"legend": legend if number == 0 else ""}
+        for number in varies
+    ]
 
 
 def _same(one: Array | None, other: Array) -> bool:

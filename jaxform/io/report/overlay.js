@@ -72,7 +72,7 @@ function colorBar({ low, high, label, unit, key, names }, { thinnest, thickest }
     thin = isWall ? MM * thinnest : NaN,
     more = isWall && MM * thickest > 1.001 * high;
   bar.querySelector("b").textContent = unit ? `${label} [${unit}]` : label;
-  bar.querySelector("i").style.background = `linear-gradient(to top, ${VIRIDIS.map((hex) => `#${hex}`).join()})`;
+  bar.querySelector("i").style.background = gradient("top");
   bar.querySelector("em").textContent = gaps ? "grey: free, or held from the start" : "";
   box.replaceChildren();
   if (names) return nameColors(bar, names);

@@ -7,7 +7,9 @@ async function start() {
   const facts = await unpack(get("parcel").textContent);
   for (const { series } of facts.charts) for (const line of series) line.points = facts.array(line.points);
   const page = new Page(facts);
-  facts.charts.forEach((described) => chart(get("charts"), described, (line, number) => page.follow(line, number)));
+  for (const described of facts.charts)
+    if (described.map) sheetMap(get("charts"), described, new Part(facts, described.map.part));
+    else chart(get("charts"), described, (line, number) => page.follow(line, number));
   page.begin();
   document.documentElement.dataset.ready = "yes";
 }

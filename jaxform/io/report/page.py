@@ -89,13 +89,19 @@ def _tile(label: str, value: str, unit: str, before: Any = None, factor: float =
     )
 
 
+def _thin_wall(thin: Mapping[str, Any], wall: str, ratio: str) -> str:
+    """A thinnest wall, and its share of the initial thickness where the summary knows it."""
+    share = f", {number(thin[ratio], 100, 3)} % of the initial thickness" if thin.get(ratio) is not None else ""
+    return f"{number(thin[wall], 1e3)} mm{share}"
+
+
 def _recovered_rows(thin: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The rows of the thinnest recovered wall; none of a summary that does not know it."""
     if thin.get("recovered") is None:
         return []
     around = "around its ring" if thin.get("scatter_of") == "ring" else "among the elements there"
     return [
-        ("thinnest wall, recovered from the elements", f"{number(thin['recovered'], 1e3)} mm"),
+        ("thinnest wall, recovered from the elements", _thin_wall(thin, "recovered", "recovered_ratio")),
         ("&emsp;position in the part", _place(thin.get("recovered_place") or [])),
         (f"&emsp;scatter {around}", f"{number(thin.get('scatter'), 100, 2)} %"),
     ]
@@ -110,7 +116,7 @@ def quality(results: Results) -> str:
     if planes:
         mass += f" ({_WHOLE[planes]} of it is modelled: {number(summary['mass'], 1e3)} g)"
     rows = [
-        ("thinnest element", f"{number(thin['thickness'], 1e3)} mm"),
+        ("thinnest element", _thin_wall(thin, "thickness", "ratio")),
         ("&emsp;position in the part", _place(thin["formed"])),
         ("&emsp;position in the initial sheet", _place(thin["initial"])),
         *_recovered_rows(thin),

@@ -77,6 +77,10 @@ function rgb(hex) {
   return [0, 2, 4].map((k) => parseInt(hex.slice(k, k + 2), 16));
 }
 
+function gradient(end) {
+  return `linear-gradient(to ${end}, ${VIRIDIS.map((hex) => `#${hex}`).join()})`;
+}
+
 function mapColors(count) {
   const found = new Uint8Array(4 * count),
     knots = VIRIDIS.map(rgb);

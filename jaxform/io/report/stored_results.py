@@ -49,7 +49,9 @@ class _Thinnest(_FactsTable):
     thickness: Number
     formed: Place
     initial: Place
+    ratio: Number = None
     recovered: Number = None
+    recovered_ratio: Number = None
     recovered_place: Place | None = None
     scatter: Number = None
     scatter_of: str = ""
