@@ -63,6 +63,8 @@ def fit_planform(found: Opening, vertices: Array, triangles: Integers) -> tuple[
     full = outlines.close_gaps(found.cavity, _BRIDGE * width / found.view.pixel).sum() * found.view.pixel**2
     corners, view = outlines.hull(points), found.view
     margins = _margins(width, view.pixel) if flange else []
+    if flange and not _is_connected(_rim_levels(found, points) > 0):
+        full = max(full, outlines.area(corners))  # the sheet lies between pockets, too
     for fit in (_disc, _rectangle):
         shape = fit(corners, full, margins, view)
         if shape is not None:
@@ -153,13 +155,19 @@ def _outline(points: Array, found: Opening, vertices: Array, triangles: Integers
     rim = None if _has_flange(found) else _rim(found, vertices, triangles)
     if rim is not None:
         return rim
-    margin = max(_MARGIN * float(np.ptp(points, axis=0).min()) / view.pixel, 2.0)
-    values = np.minimum(outlines.distance(view.inside) - 1.0, margin + 0.5 - outlines.distance(~found.cavity))
+    values = _rim_levels(found, points)
     if not _is_connected(values > 0):
-        hull = view.inside_polygon(outlines.hull(view.places(found.cavity)))
-        values = np.minimum(outlines.distance(view.inside) - 1.0, margin + 0.5 - outlines.distance(~hull))
+        values = _rim_levels(found, points, view.inside_polygon(outlines.hull(view.places(found.cavity))))
     polygon = outlines.contour(values, view.low, view.pixel)
     return _simplify(polygon, _SIMPLER * view.pixel)
+
+
+def _rim_levels(found: Opening, points: Array, within: Mask | None = None) -> Array:
+    """Distance [pixels] of each pixel within the outline of a sheet over an opening, or a mask, from that outline."""
+    view = found.view
+    margin = max(_MARGIN * float(np.ptp(points, axis=0).min()) / view.pixel, 2.0)
+    covered = found.cavity if within is None else within
+    return np.minimum(outlines.distance(view.inside) - 1.0, margin + 0.5 - outlines.distance(~covered))
 
 
 def _simplify(polygon: Array, tolerance: float) -> Array:

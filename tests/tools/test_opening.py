@@ -92,6 +92,29 @@ def test_a_tray_has_a_rectangle_and_an_l_its_outline():
     assert seen == {(0, 0), (0.2, 0), (0.2, 0.1), (0.1, 0.1), (0.1, 0.2), (0, 0.2)}
 
 
+def _pockets(middles: list[tuple[float, float]]) -> Mesh:
+    """A flange of 0.24 x 0.18 m with round pockets of 0.02 m radius, 0.015 m deep: a height field of 2 mm."""
+    x, y = np.meshgrid(np.linspace(-0.12, 0.12, 121), np.linspace(-0.09, 0.09, 91), indexing="ij")
+    inside = np.any([np.hypot(x - a, y - b) < 0.02 for a, b in middles], axis=0)
+    points = np.stack([x, y, np.where(inside, 0.015, 0.0)], axis=-1).reshape(-1, 3)
+    first = (np.arange(120)[:, None] * 91 + np.arange(90)).ravel()
+    quads = np.stack([first, first + 91, first + 92, first + 1], axis=1)
+    return Mesh(points, np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]).astype(np.int32))
+
+
+def test_pockets_on_one_flange_have_a_rectangle_where_they_fill_it_and_else_their_hull():
+    """The hull of two staggered rows was the sheet, with dozens of corners, on a flange that is a rectangle."""
+    rows = _pockets([(-0.07, 0.04), (0.0, 0.04), (0.07, 0.04), (-0.04, -0.04), (0.04, -0.04)])
+    corner = _pockets([(-0.07, -0.05), (0.07, -0.05), (-0.07, 0.05)])
+    found = opening.find_opening(rows.positions, rows.triangles)
+    sheet, flange = footprint.fit_planform(found, rows.positions, rows.triangles)
+    assert isinstance(sheet, OrientedRectangle) and flange
+    # The pockets' box, whose edges lie on the grid, and a margin of 3 % of its width.
+    np.testing.assert_allclose(np.sort(sheet.sides), np.array([0.124, 0.184]) + 2 * 0.03 * 0.124, atol=1e-3)
+    found = opening.find_opening(corner.positions, corner.triangles)
+    assert isinstance(footprint.fit_planform(found, corner.positions, corner.triangles)[0], np.ndarray)
+
+
 def test_a_sheet_over_the_rim_lies_in_its_plane_with_normals_into_the_mold():
     mold = turn(l_tray(), TURNS[3])
     sheet = footprint.sheet_over_opening(mold.positions, mold.triangles, elements=100)

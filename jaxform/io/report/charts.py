@@ -219,7 +219,7 @@ def _maps(start: StoredPart, best: StoredPart, name: str) -> list[Chart]:
     low, high = (float(end(np.concatenate(fields))) for end in (np.min, np.max))
     varies = [number for number, field in enumerate(fields) if np.ptp(field) > _EVEN * np.abs(field).max()]
     legend = f"start: {fields[1].mean():.4g} everywhere" if 1 not in varies and len(fields) == 2 else ""
-    titles = ["The initial sheet", "The initial sheet, start"]
+    titles = ["The initial sheet" + ", best design" * (len(varies) == 2), "The initial sheet, start"]
     return [
         _chart(titles[number], "x [mm]", "y [mm]", [])
         | {"map": {"part": number, "key": name, "factor": factor, "low": low, "high": high, "words": words}}
