@@ -27,6 +27,7 @@ from jaxform.io import files
 from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Nodes
+from jaxform.mesh import topology
 from jaxform.model.scene import Scene
 from jaxform.results.summary import measure_penetration
 from jaxform.tools.mold import Mold
@@ -349,32 +350,41 @@ def show_penetration() -> None:
 
 
 def sampled_depths(scene: Scene, result: jaxform.Result, divisions: int = 8) -> np.ndarray:
-    """Depth [m] of the deepest of some points of each element (n_element,) in the mold, whose triangles face one way.
+    """Depth [m] of the deepest of some points of each element (n_element,) in the mold, whose triangles may be turned.
 
     It shares no code with `measure_penetration`: the nearest place of each triangle, and the side of the normals there.
     Points whose nearest place is on the rim of an open mold are left out.
     """
     assert scene.mold is not None
-    mold = trimesh.Trimesh(np.asarray(scene.mold.vertices), np.asarray(scene.mold.triangles), process=False)
-    mold.merge_vertices()
+    start = np.asarray(scene.parison.positions)[~np.asarray(scene.parison.clamped)]
+    mold = mold_towards(np.asarray(scene.mold.vertices), np.asarray(scene.mold.triangles), start)
     shares = np.array([[divisions - i - j, i, j] for i in range(divisions + 1) for j in range(divisions + 1 - i)])
     corners = np.asarray(result.positions)[np.asarray(result.triangles)]
     points = np.einsum("pc,eck->epk", shares / divisions, corners).reshape(-1, 3)
-    start = np.asarray(scene.parison.positions)[~np.asarray(scene.parison.clamped)]
-    outside = signed_distances(mold, start)
-    side = np.sign(outside[np.nanargmax(np.abs(outside))])
-    depth = np.nan_to_num(-side * signed_distances(mold, points), nan=-np.inf)
+    depth = np.nan_to_num(-signed_distances(mold, points, len(shares)), nan=-np.inf)
     return depth.reshape(len(corners), -1).max(1)
 
 
-def signed_distances(mold: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+def mold_towards(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray) -> trimesh.Trimesh:
+    """The mold with triangles turned so that normals face points (n, 3) [m], those of the sheet before it moves.
+
+    The triangles of a piece are turned alike from one to the next across the sides that two of them share. The side of
+    a piece is that of the point which is the farthest from it, of those whose nearest place is not on its rim.
+    """
+    mold = trimesh.Trimesh(vertices, triangles, process=False)
+    mold.merge_vertices()
+    piece, turn = topology.orientations(np.asarray(mold.faces))
+    faces = np.where(turn[:, None] < 0, mold.faces[:, ::-1], mold.faces)
+    for own in (piece == number for number in np.unique(piece)):
+        away = np.nan_to_num(signed_distances(trimesh.Trimesh(mold.vertices, faces[own], process=False), points))
+        if away[np.abs(away).argmax()] < 0.0:
+            faces[own] = faces[own, ::-1]
+    return trimesh.Trimesh(mold.vertices, faces, process=False)
+
+
+def signed_distances(mold: trimesh.Trimesh, points: np.ndarray, together: int = 64) -> np.ndarray:
     """Distances [m] of points (n, 3), positive on the side of the normals; NaN where the nearest place is on a rim."""
-    triangle, place = np.zeros(len(points), int), np.zeros_like(points)
-    for part in np.array_split(np.arange(len(points)), 1 + len(points) * len(mold.faces) // 2_000_000):
-        pairs = np.tile(mold.triangles, (len(part), 1, 1)), np.repeat(points[part], len(mold.faces), axis=0)
-        near = trimesh.triangles.closest_point(*pairs).reshape(len(part), -1, 3)
-        triangle[part] = np.linalg.norm(near - points[part, None], axis=2).argmin(1)
-        place[part] = near[np.arange(len(part)), triangle[part]]
+    triangle, place = nearest_triangles(mold, points, together)
     weight = trimesh.triangles.points_to_barycentric(mold.triangles[triangle], place)
     on_corner, normals = weight < 1e-7, mold.face_normals
     side, count = np.unique(mold.edges_sorted, axis=0, return_inverse=True, return_counts=True)[1:]
@@ -392,6 +402,32 @@ def signed_distances(mold: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     away = points - place
     signed = np.sign(np.einsum("ij,ij->i", away, normal)) * np.linalg.norm(away, axis=1)
     return np.where(at_rim, np.nan, signed)
+
+
+def nearest_triangles(mold: trimesh.Trimesh, points: np.ndarray, together: int) -> tuple[np.ndarray, np.ndarray]:
+    """The triangles (n,) nearest to points (n, 3) [m], and the nearest places (n, 3), by comparison with all near ones.
+
+    Of so many points together, in a sphere of radius r, none is nearest to a triangle that is farther from the centre
+    by more than 2 r than the nearest one.
+    """
+    triangle, place = np.zeros(len(points), int), np.zeros_like(points)
+    for first in range(0, len(points), together):
+        own = points[first : first + together]
+        centre = 0.5 * (own.min(0) + own.max(0))
+        radius = np.linalg.norm(own - centre, axis=1).max()
+        far = np.linalg.norm(_closest(mold.triangles, centre[None])[:, 0] - centre, axis=1)
+        near = np.flatnonzero(far <= (far.min() + 2.0 * radius) * (1.0 + 1e-9))
+        found = _closest(mold.triangles[near], own)
+        best = np.linalg.norm(found - own, axis=2).argmin(0)
+        triangle[first : first + together] = near[best]
+        place[first : first + together] = found[best, np.arange(len(own))]
+    return triangle, place
+
+
+def _closest(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The places (m, n, 3) on triangles (m, 3, 3) nearest to points (n, 3) [m]."""
+    pairs = np.repeat(triangles, len(points), axis=0), np.tile(points, (len(triangles), 1))
+    return trimesh.triangles.closest_point(*pairs).reshape(len(triangles), -1, 3)
 
 
 _RIBBED = [[0.0, 0.05], [0.015, 0.05], [0.0155, 0.03], [0.0205, 0.03], [0.021, 0.05], [0.045, 0.05], [0.05, 0.0]]

@@ -222,7 +222,8 @@ def list_near_sides(
     moves = jnp.tile(used, 3) & ~(stuck[begin] & stuck[end])
     one, other = center[:, begin], center[:, end]
     middle, half = 0.5 * (one + other), 0.5 * (other - one)
-    reach = jnp.sqrt(dot(half, half)) + jnp.maximum(wide[begin], wide[end])
+    within = jnp.maximum(wide[begin], wide[end])
+    reach = jnp.sqrt(dot(half, half)) + within
     room, number = 2 * candidates.lists.node.size, edges.shape[1]
     listed = jnp.zeros(room + TEST_BLOCK, jnp.int32)
 
@@ -241,16 +242,13 @@ def list_near_sides(
     def add_edge(k: jax.Array, found: _Listed, sides: jax.Array, count: jax.Array) -> _Listed:
         corners = edge_corners(mold, edges, k[None])
         a, b = (jnp.stack(corner) for corner in corners[:2])
-        way = b - a
-        square = dot(way, way)
+        square = dot(b - a, b - a)
 
         def test(block: jax.Array, found: _Listed) -> _Listed:
             own = slice_at(sides, block * TEST_BLOCK, TEST_BLOCK)
-            away, within = middle[:, own] - a, reach[own]
-            t = jnp.clip(dot(away, way) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
-            gap = away - t[None] * way
+            gap = segment_gaps(one[:, own], 2.0 * half[:, own], a, b - a)
             between = [_is_between_faces(vector(x[:, own]), corners) for x in (one, other)]
-            near = (dot(gap, gap) <= within * within) & (square > 0.0) & ~(between[0] & between[1])
+            near = (gap <= jnp.square(within[own])) & (square > 0.0) & ~(between[0] & between[1])
             near &= block * TEST_BLOCK + jnp.arange(TEST_BLOCK) < count
             place, more = compact_indices(near, TEST_BLOCK)
             side, edge, total = found
@@ -264,6 +262,22 @@ def list_near_sides(
     ends = jnp.stack([begin[side], end[side]])
     overflow, count = count > room, jnp.minimum(count, room)
     return NearSides(ends, edge, count, center, jnp.where(stuck, jnp.inf, radius * radius), overflow)
+
+
+def segment_gaps(start: jax.Array, side: jax.Array, begin: jax.Array, edge: jax.Array) -> jax.Array:
+    """Squares (n,) [m^2] of the distances between segments from points (3, n) [m] along (3, n), and one edge.
+
+    Ericson: Real-Time Collision Detection (2005), 5.1.9.
+    """
+    away = start - begin
+    a, b, c = dot(side, side), dot(side, edge), dot(edge, edge)
+    d, e = dot(side, away), dot(edge, away)
+    area, whole, length = a * c - b * b, jnp.where(a > 0.0, a, 1.0), jnp.where(c > 0.0, c, 1.0)
+    share = jnp.clip(jnp.where(area > 0.0, (b * e - c * d) / jnp.where(area > 0.0, area, 1.0), 0.0), 0.0, 1.0)
+    far = jnp.clip((b * share + e) / length, 0.0, 1.0)
+    share = jnp.clip((b * far - d) / whole, 0.0, 1.0)
+    gap = away + share * side - far * edge
+    return dot(gap, gap)
 
 
 def leaves_list(near: NearSides, places: Any, blocks: jax.Array) -> jax.Array:

@@ -428,3 +428,19 @@ def test_a_shot_that_flies_out_of_its_list_is_retried_and_hits() -> None:
     assert np.asarray(result.stuck).mean() > 0.8
     whole = jax.jit(jaxform.simulate)(scene)
     np.testing.assert_allclose(result.positions, whole.positions, atol=1e-9)
+
+
+@pytest.mark.parametrize("turned", [(), (0,), (1, 3), (0, 1, 2, 3)])
+def test_sampled_depths_do_not_depend_on_how_triangles_of_a_mold_turn(turned: tuple[int, ...]) -> None:
+    """Two ridges, which are pieces of a mold, above a sheet; points before and beyond their faces."""
+    ridge = np.array([[x, y, z] for x, z in ((0.0, 0.0), (-1.0, 2.0), (1.0, 2.0)) for y in (-9.0, 9.0)])
+    triangles = np.array([[0, 1, 2], [1, 3, 2], [0, 4, 1], [1, 4, 5]])
+    triangles[list(turned)] = triangles[list(turned), ::-1]
+    pieces = (
+        np.concatenate([ridge, ridge + np.array([9.0, 0.0, 0.0])]),
+        np.concatenate([triangles, triangles[:, ::-1] + 6]),
+    )
+    mold = figures.mold_towards(*pieces, points=np.array([[0.5, 0.0, -3.0], [9.5, 0.0, -3.0]]))
+    points = np.array([[0.0, 0.0, 1.0], [0.0, 0.1, -1.0], [9.0, 0.0, 1.0], [9.0, 0.1, -1.0]])
+    found = figures.signed_distances(mold, points, together=2)
+    np.testing.assert_allclose(found, [-1.0 / np.sqrt(5.0), 1.0] * 2)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -154,6 +155,39 @@ def test_places_between_both_faces_of_an_edge() -> None:
     corners = edge_contact.edge_corners(mold, edges, jnp.zeros(1, int))
     places = jnp.asarray([[-1.0, 5, 1], [-3, -7, 0.1], [0.1, 0, 1], [-1, 0, -0.1], [1, 0, -1]]).T
     assert edge_contact._is_between_faces(vector(places), corners).tolist() == [True, True, False, False, False]
+
+
+def test_distances_of_segments_from_an_edge() -> None:
+    random = np.random.default_rng(3)
+    start, end, begin, far = random.uniform(-1.0, 1.0, (4, 200, 3))
+    start[:2], end[:2] = begin[:2] + 0.3, begin[:2] + 0.3 + 2.0 * (far[:2] - begin[:2])  # parallel
+    end[2] = start[2]  # a point
+    start[3], end[3] = (
+        (begin[3] + far[3]) / 2 - (0.1, 0.2, 0.3),
+        (begin[3] + far[3]) / 2 + (0.1, 0.2, 0.3),
+    )  # they cross
+    share = np.linspace(0.0, 1.0, 201)
+    for own in zip(start, end, begin, far, strict=True):
+        a, b, c, d = own
+        found = edge_contact.segment_gaps(a[:, None], (b - a)[:, None], c[:, None], (d - c)[:, None])
+        points, others = a + share[:, None] * (b - a), c + share[:, None] * (d - c)
+        least = np.linalg.norm(points[:, None] - others, axis=2).min()
+        assert least - 0.02 <= float(np.sqrt(found[0])) <= least + 1e-12
+
+
+@pytest.mark.parametrize(("radius", "count"), [(0.1, 0), (0.26, 2)])
+def test_a_side_is_listed_where_it_can_reach_an_edge(radius: float, count: int) -> None:
+    """The wedge's edge, 0.3 above two sides of a large element whose nodes stay in spheres."""
+    vertices = np.array([[0.2, -9.0, 0.3], [0.2, 9.0, 0.3], [0.2, 0.0, 9.0], [0.3, 0.0, 9.0]])
+    mold = jaxform.make_mold(vertices, np.array([[0, 1, 2], [1, 0, 3]]))
+    nodes = jnp.array([[0.0, 0.0, 2.0], [0.0, 2.0, 2.0], [0.0, 0.0, 0.0]])
+    lists = SimpleNamespace(spheres=(jnp.concatenate([nodes, jnp.full((1, 3), radius)]),), node=jnp.zeros(TEST_BLOCK))
+    candidates: Any = SimpleNamespace(lists=lists)
+    edges = jnp.array([[0], [1], [2], [3]])
+    places = jnp.arange(3)[:, None]
+    stuck = jnp.zeros(3, bool)
+    near = edge_contact.list_near_sides(candidates, stuck, places, jnp.ones(1, bool), mold, edges, 0.0)
+    assert int(near.count) == count
 
 
 def test_a_film_over_a_ridge_between_nodes_has_the_exact_wall_on_both_sides() -> None:
