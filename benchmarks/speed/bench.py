@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxform
-from benchmarks.speed import contact, formulations, peers, sheets
+from benchmarks.speed import bowl, contact, formulations, peers, sheets
 from benchmarks.timing import best_in_turns, best_seconds, one_core, say, whole_loop
 from jaxform import molds
 from jaxform.contact import candidates
@@ -403,6 +403,7 @@ SECTIONS: dict[str, Callable[[], Table]] = {
     "skips": show_skips,
     "whole run": show_whole_run,
     "parts": show_parts,
+    "bowl": bowl.show_bowl,
     "start": show_start,
     "batch": show_batch,
 }

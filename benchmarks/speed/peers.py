@@ -19,24 +19,25 @@ Stepper = Callable[[int], Array]
 
 
 @cache
-def _library() -> ctypes.CDLL | None:
+def load_functions(name: str) -> ctypes.CDLL | None:
+    """The functions of a C++ file in this folder, compiled; None where there is no compiler."""
     compiler = shutil.which("g++")
     if compiler is None:
         return None
     folder = Path(tempfile.mkdtemp(prefix="jaxform-bench-"))
-    source, target = Path(__file__).with_name("bare.cpp"), folder / "bare.so"
-    command = [compiler, "-O3", "-march=native", "-shared", "-fPIC", str(source), "-o", str(target)]
+    source, target = Path(__file__).with_name(f"{name}.cpp"), folder / f"{name}.so"
+    command = [compiler, "-std=c++20", "-O3", "-march=native", "-shared", "-fPIC", str(source), "-o", str(target)]
     subprocess.run(command, check=True)
     return ctypes.CDLL(str(target))
 
 
 def cpp(sheet: Sheet, dtype: Any = np.float64) -> Stepper | None:
     """The plain C++ loop; None where there is no compiler."""
-    library = _library()
-    if library is None:
+    compiled = load_functions("bare")
+    if compiled is None:
         return None
     real = ctypes.c_double if dtype == np.float64 else ctypes.c_float
-    function = library.steps_float64 if dtype == np.float64 else library.steps_float32
+    function = compiled.steps_float64 if dtype == np.float64 else compiled.steps_float32
 
     def step(count: int) -> Array:
         x = np.array(sheet.positions, dtype, order="C")

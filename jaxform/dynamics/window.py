@@ -66,7 +66,7 @@ def window(
     active = active_set_of(state, scene, discrete, differentiable=differentiable)
     packed, active = cool_state(active.pack_state(state), scene, active, differentiable=differentiable)
     decisions = save_decision(_make_decisions(packed, scene, active, schedule))
-    return active.unpack_state(_step_window(packed, scene, active, decisions, differentiable=differentiable)[0])
+    return active.unpack_state(step_window(packed, scene, active, decisions, differentiable=differentiable)[0])
 
 
 def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[PackedState, ActiveSet]:
@@ -74,13 +74,13 @@ def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tupl
     state, active = cool_state(state, scene, active, differentiable=False)
     chosen = choose_step(state, scene, active)
 
-    def step_window(carry: tuple[PackedState, Workspace | None]) -> tuple[PackedState, Workspace | None]:
+    def advance(carry: tuple[PackedState, Workspace | None]) -> tuple[PackedState, Workspace | None]:
         state, workspace = carry
         decisions = (*chosen[:3], workspace), None
-        state, _, workspace = _step_window(state, scene, active, decisions, differentiable=False)
+        state, _, workspace = step_window(state, scene, active, decisions, differentiable=False)
         return state, workspace
 
-    state, workspace = compile_as_one(step_window, (state, chosen[3]), state.windows)
+    state, workspace = compile_as_one(advance, (state, chosen[3]), state.windows)
     return state, dataclasses.replace(active, workspace=workspace)
 
 
@@ -105,21 +105,22 @@ def window_and_impacts(
     impacts, packed = bool(scene.surfaces), active.packed
     begin = active.pack_state(state)
     decisions = _make_decisions(begin, scene, active, schedule)
-    end, current, _ = _step_window(begin, scene, active, decisions, differentiable=False, impacts=impacts)
+    end, current, _ = step_window(begin, scene, active, decisions, differentiable=False, impacts=impacts)
     # Nothing landed in a rejected window.
     landed = jnp.where(end.control.last_count > 0, packed.unpack(current.landing_step), NEVER)
     return active.unpack_state(end), landed, None if current.impact is None else packed.unpack(current.impact)
 
 
-def _step_window(
+def step_window(
     state: PackedState,
     scene: Scene,
     active: ActiveSet,
-    decisions: _Decisions,
+    decisions: Decisions,
     *,
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[PackedState, WindowState, Workspace | None]:
+    """The state after a window with given decisions, the window state at its end, and the workspace."""
     (length, max_count, (mode, bound, sharpness, base_length), workspace), row = decisions
     modes = active.viscous(scene.material)
     data = WindowData(
@@ -262,16 +263,16 @@ def _set_positions(current: WindowState, positions: Any) -> WindowState:
     return dataclasses.replace(current, nodes=dataclasses.replace(current.nodes, positions=positions))
 
 
-_Decisions = tuple[StepChoice, tuple[jax.Array, jax.Array] | None]
+Decisions = tuple[StepChoice, tuple[jax.Array, jax.Array] | None]
 """Decisions at a window boundary: the steps, and where a schedule is followed their row, as in `WindowData`."""
 
 
-def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedule: Schedule | None) -> _Decisions:
+def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedule: Schedule | None) -> Decisions:
     if schedule is None:
         return choose_step(state, scene, active), None
     row = schedule.next_row(state.replay.row)
 
-    def from_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
+    def from_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> Decisions:
         length, count = schedule.lengths[row], schedule.counts[row]
         left = jnp.minimum(length * count - state.replay.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
         # Where the sheet is stiffer for its mass than that of the schedule, the steps are shorter by whole levels.
@@ -290,7 +291,7 @@ def _make_decisions(state: PackedState, scene: Scene, active: ActiveSet, schedul
         limit = state.nodes.mode, bound, state.control.sharpness, state.control.base_length
         return (length, most, limit, None), (row, left)
 
-    def beyond_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
+    def beyond_schedule(state: PackedState, scene: Scene, active: ActiveSet) -> Decisions:
         return choose_step(state, scene, active), (row, jnp.full_like(state.time, jnp.inf))
 
     arguments = jax.lax.stop_gradient((state, scene, active))

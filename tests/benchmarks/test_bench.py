@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import jaxform
 from benchmarks.accuracy import refinement
-from benchmarks.speed import bench, formulations, peers, pictures, sheets
+from benchmarks.speed import bench, bowl, formulations, peers, pictures, sheets
 
 
 @pytest.mark.long
@@ -28,6 +29,33 @@ def test_every_formulation_and_peer_steps_alike() -> None:
     single = np.asarray(formulations.own_formulation(sheet, np.float32)(20)).T
     assert single.dtype == np.float32
     np.testing.assert_allclose(single, expected, rtol=0, atol=1e-5)
+
+
+def test_the_bowl_in_plain_cpp_is_the_same_part() -> None:
+    scene = bowl.bowl(0.01)
+    result = jaxform.run(scene)
+    assert result.schedule is not None
+    run = bowl.cpp_run(scene, result.schedule)
+    if run is None:
+        pytest.skip("no C++ compiler")
+    positions, moved = run()
+    np.testing.assert_allclose(positions, result.positions, rtol=0, atol=1e-9)
+    # Elements are dropped where all of their nodes stick, and most do at last.
+    assert 0.3 < moved / (int(result.steps) * len(scene.parison.triangles)) < 0.8
+
+
+@pytest.mark.long
+def test_the_bowl_s_table_adds_up_to_its_run() -> None:
+    row, *table, total = bowl.show_bowl(0.01, 1)
+    assert row["rms difference m"] is None or row["rms difference m"] < 1e-9
+    assert total["ms"] == pytest.approx(row["run ms"]) == pytest.approx(sum(part["ms"] for part in table))
+    scene = bowl.bowl(0.01)
+    windows = bowl.record_windows(scene)
+    schedule = jaxform.run(scene).schedule
+    assert schedule is not None
+    taken = np.asarray(schedule.counts) > 0
+    np.testing.assert_array_equal(windows.counts, np.asarray(schedule.counts)[taken])
+    np.testing.assert_array_equal(windows.lengths, np.asarray(schedule.lengths)[taken])
 
 
 @pytest.mark.long
