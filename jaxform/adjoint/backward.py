@@ -339,6 +339,85 @@ def split_point_cotangents(nodes: BackwardNodes, step: AdjointStep, window: Reve
     return nodes._replace(point=jnp.where(window.landing_step == step[0] - 1, nodes.positions, nodes.point))
 
 
+def _land_on_triangle(
+    node: tuple[jax.Array, jax.Array, jax.Array],
+    corners: jax.Array,
+    landing: sticking.ContactStep,
+    window: ReverseWindow,
+) -> sticking.Landing:
+    """The landing of a node on a triangle with these corners (3, 3) [m]; differentiable.
+
+    The node is its position at the end of its path (3, 1) [m], its velocity (3, 1) [m/s] and its mass (1,) [kg].
+    """
+    after, velocity, mass = node
+    free, none = jnp.zeros(1, bool), jnp.zeros(1, jnp.int32)
+    flying = sticking.Landing(
+        Nodes(after, velocity, free, jnp.zeros_like(mass), none, None, {}), none, jnp.zeros_like(landing.end)
+    )
+    triangle = ContactSurface(Mold(corners, jnp.arange(3, dtype=jnp.int32)[None]), window.scene.surfaces[0].grid)
+    return sticking.place_on_surfaces(flying, landing, (mass, None), (triangle,), none, differentiable=True)
+
+
+def add_impact_cotangents(
+    nodes: BackwardNodes,
+    corners: Corners,
+    load: Load,
+    step: AdjointStep,
+    wall: jax.Array,
+    mold: Mold,
+    window: ReverseWindow,
+    loss: jax.Array,
+) -> tuple[BackwardNodes, Corners]:
+    """Adds the contributions of what forces do to the contact loss in a step's landings, node by node.
+
+    That is the loss without the kinetic energy, which `pull_back_landings` reverses. It needs the step's forces.
+
+    Args:
+        nodes: Nodes at the begin of the step in which they land.
+        corners: Workspace for corner forces.
+        load: The load then.
+        step: The reverse step, to the begin of the step before.
+        wall: Contact triangles at the window's end (place,), as in `Nodes`.
+        mold: The mold.
+        window: Constants of the window.
+        loss: The cotangent of the contact loss.
+    """
+    elements, (number, _, _, velocity_step) = window.packed.elements, step
+    forces, _ = corner_forces(load, elements, corners[3:])
+    places, count = compact_indices(window.landing_step == number + 1, window.landing_step.size)
+    length = window.length
+
+    def one(k: jax.Array, nodes: BackwardNodes) -> BackwardNodes:
+        place = blocks.entry(places, k)
+
+        def read_node(values: jax.Array) -> jax.Array:
+            return blocks.slice_at(values, place, 1)
+
+        def add(values: jax.Array, more: Any) -> jax.Array:
+            return blocks.put(values, read_node(values) + jnp.stack(more), place)
+
+        def lost(begin: jax.Array, velocity: jax.Array, nodal: jax.Array, vertices: jax.Array) -> jax.Array:
+            landing = sticking.ContactStep(length, length, number, impulse=length * nodal)
+            node = begin + length * velocity, velocity, jnp.zeros_like(velocity[0])
+            return _land_on_triangle(node, vertices, landing, window).loss
+
+        shares = gather_shares(forces, (read_node(elements.slots), jnp.int32(len(elements.slots))))
+        nodal = jnp.stack(add_gravity(shares, read_node(window.mass), window.scene.solver.gravity))
+        triangle = mold.triangles[jnp.abs(read_node(wall)[0]) - 1]
+        at, speeds, compliance = (read_node(x) for x in (nodes.at, nodes.speeds, window.compliance))
+        _, pull = jax.vjp(lost, at, speeds, nodal, mold.vertices[triangle])
+        position, velocity, force, vertices = pull(loss)
+        power = force_cotangent(unstack_rows(velocity), unstack_rows(compliance), velocity_step, window)
+        return nodes._replace(
+            positions=add(nodes.positions, position),
+            velocities=add(nodes.velocities, velocity),
+            force=add(nodes.force, force + jnp.stack(power)),
+            vertices=None if nodes.vertices is None else nodes.vertices.at[triangle].add(vertices),
+        )
+
+    return jax.lax.fori_loop(0, count, one, nodes), [*corners[:3], *forces]
+
+
 def pull_back_landings(
     nodes: BackwardNodes,
     step: AdjointStep,
@@ -352,7 +431,6 @@ def pull_back_landings(
     `at` has the contact triangles at the window's end (place,), as `wall` in `Nodes`, and the window's begin [s].
     """
     wall, begin_time = at
-    grid = window.scene.surfaces[0].grid
     number, length, velocity_step, _ = step
     time = begin_time + (number + 1) * length
     places, count = compact_indices(window.landing_step == number, window.landing_step.size)
@@ -369,17 +447,12 @@ def pull_back_landings(
         def land(
             after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array, curved: _CurvedPath | None
         ) -> Any:
-            free, none = jnp.zeros(1, bool), jnp.zeros(1, jnp.int32)
-            flying = sticking.Landing(
-                Nodes(after, velocity, free, jnp.zeros_like(mass), none, None, {}), none, jnp.zeros_like(time)
-            )
-            triangle = ContactSurface(Mold(corners, jnp.arange(3, dtype=jnp.int32)[None]), grid)
             landing = sticking.ContactStep(length, time, number)
             if curved is not None:
                 landing = landing._replace(
                     curve=_curve_of_gain(*curved, velocity, velocity_step, length), damping=curved[1]
                 )
-            there = sticking.place_on_surfaces(flying, landing, (mass, None), (triangle,), none, differentiable=True)
+            there = _land_on_triangle((after, velocity, mass), corners, landing, window)
             ends, back = [there.nodes.positions], _half_damping(length, landing.damping)
             if curved is not None:
                 # In the next step it returns to its landing point.

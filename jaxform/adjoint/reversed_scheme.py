@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxform.adjoint.backward import (
     BackwardNodes,
     ReverseWindow,
+    add_impact_cotangents,
     add_loss_cotangents,
     add_rim_cotangents,
     add_weight_cotangents,
@@ -382,6 +383,18 @@ def _reverse_steps(
                 lambda both: add_loss_cotangents(*both, load, step, now, (lost, missed)),
                 (nodes, corners),
             )
+        if mold is not None:
+            add = functools.partial(
+                add_impact_cotangents,
+                load=load,
+                step=step,
+                wall=packed.pack(kept.wall),
+                mold=mold,
+                window=now,
+                loss=loss.contact_loss,
+            )
+            struck = (loss.contact_loss != 0.0) & lands[n]
+            nodes, corners = lax_cond_once(struck, lambda both: add(*both), (nodes, corners))
         nodes = add_weight_cotangents(nodes, now)
         corners, summed, sums = corner_cotangents(
             load, elements, wanted, nodes.force, volume[n], corners, carry.summed, forces=True

@@ -81,7 +81,8 @@ class ContactStep(NamedTuple):
     """A step: its length [s], the time at its end [s], its number in the window, and the frames of the surfaces.
 
     Where nodes land on curved paths, `curve` is the change of the nodes' velocities in the step times its length
-    (3, n_node) [m], and `damping` the solver's [1/s].
+    (3, n_node) [m], and `damping` the solver's [1/s]. `impulse` is that of the forces on the nodes (3, n_node)
+    [N s] over its length; None where the contact loss is the kinetic energy alone.
     """
 
     length: jax.Array
@@ -90,6 +91,11 @@ class ContactStep(NamedTuple):
     frames: tuple[ToolFrame | None, ...] = (None,)
     curve: jax.Array | None = None
     damping: jax.Array | None = None
+    impulse: jax.Array | None = None
+
+
+FlightForces = tuple[jax.Array, jax.Array | None]
+"""`ContactStep.impulse` and `ContactStep.curve` of a node (3, 1); the latter None where paths are straight."""
 
 
 def apply_contact(
@@ -101,7 +107,7 @@ def apply_contact(
     surfaces: tuple[ContactSurface, ...],
     known: Sequence[jax.Array],
     workspace: FirstHits,
-    curve: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
+    flight: Callable[[jax.Array, jax.Array], FlightForces] | None = None,
 ) -> tuple[Landing, FirstHits]:
     """Moves the nodes that crossed a surface in this step to where they met it; not differentiable.
 
@@ -116,12 +122,12 @@ def apply_contact(
         surfaces: The surfaces.
         known: Nodes in contact with each surface, from `touches_already`.
         workspace: Workspace for the first hits, from `no_hits`. It is returned unchanged.
-        curve: `ContactStep.curve` of a node, from its number and velocity (3, 1); None where paths are straight.
+        flight: Gives the forces on a node from its number and velocity (3, 1) [m/s]; None where they are not counted.
     """
     count = sum(count for _, count in due)
     return lax_cond_once(
         jnp.asarray(count) > 0,
-        lambda both: _place_hit_nodes(*both, step, mass, candidates, due, surfaces, known, curve),
+        lambda both: _place_hit_nodes(*both, step, mass, candidates, due, surfaces, known, flight),
         (landing, workspace),
     )
 
@@ -288,7 +294,7 @@ def _place_hit_nodes(
     due: Sequence[DueBlocks],
     surfaces: tuple[ContactSurface, ...],
     known: Sequence[jax.Array],
-    curve: Callable[[jax.Array, jax.Array], jax.Array] | None,
+    flight: Callable[[jax.Array, jax.Array], FlightForces] | None,
 ) -> tuple[Landing, FirstHits]:
     """The landing of the nodes that met a surface, one after the other, since they are few; not differentiable."""
     nodes, met = landing.nodes, workspace
@@ -326,7 +332,10 @@ def _place_hit_nodes(
         old, masses, triangle = materialize(
             (jax.tree.map(read_node, landing), jax.tree.map(read_node, mass), read_node(chosen))
         )
-        this = step if curve is None else step._replace(curve=materialize(curve(node, old.nodes.velocities)))
+        this = step
+        if flight is not None:
+            impulse, curve = materialize(flight(node, old.nodes.velocities))
+            this = step._replace(impulse=impulse, curve=curve)
         new = place_on_surfaces(old, this, masses, surfaces, triangle, differentiable=False)
         nodes = dataclasses.replace(new.nodes, positions=unstack_rows(new.nodes.positions))
         landing = jax.tree.map(write_node, landing, new._replace(nodes=nodes))
@@ -420,6 +429,10 @@ def _place_on_surface(
             # A tool does not carry nodes out of a symmetry plane that it closes on.
             mobile = jnp.stack(mobile_components(compliance)) > 0.0
             point, new = jnp.where(mobile, point, after), jnp.where(mobile, new, velocities)
+    if step.impulse is not None:
+        # A node on another tool has a force of that, too.
+        impulse = jnp.where(nodes.wall == 0, step.impulse, 0.0)
+        loss = loss + (beta - 0.5) * dot(impulse, velocities - new)
     if step.curve is not None:
         point, new, beta = _land_on_curve(before, after, step, mold, jnp.maximum(chosen, 0), lands)
         flight += [step.curve, point]

@@ -110,9 +110,9 @@ def search_contact(
     ]
     landing, contact_step = _free_flight(moved, length, scene, data, frames)
     due, mass = [blocks for blocks, _ in found], _masses(scene, data)
-    curve = _velocity_change(moved, (velocity_step, length), scene, data) if scene.lands_smoothly else None
+    flight = _flight_forces(moved, (velocity_step, length), scene, data)
     landing, met = sticking.apply_contact(
-        landing, contact_step, due, mass, candidates, scene.surfaces, known, moved.hits, curve
+        landing, contact_step, due, mass, candidates, scene.surfaces, known, moved.hits, flight
     )
     missed = functools.reduce(operator.or_, [missed for _, missed in moved.last_checks])
     landed = dataclasses.replace(
@@ -124,40 +124,56 @@ def search_contact(
     return landed if moved.held is None else search_sides(moved, landed, length, candidates, scene, data, frames)
 
 
-def _velocity_change(
+def _flight_forces(
     moved: WindowState, steps: tuple[jax.Array, jax.Array], scene: Scene, data: WindowData
-) -> Callable[[jax.Array, jax.Array], jax.Array]:
-    """A function for `ContactStep.curve` of nodes, from the forces in a step with this velocity_step and length [s].
+) -> Callable[[jax.Array, jax.Array], sticking.FlightForces]:
+    """A function for `FlightForces` of nodes, from the forces in a step with this velocity_step and length [s].
 
     The velocities before the step have been overwritten.
     """
     (velocity_step, length), slots, corners = steps, data.active.packed.elements.slots, moved.corners
     assert corners is not None
 
-    def change(node: jax.Array, velocity: jax.Array) -> jax.Array:
+    def forces(node: jax.Array, velocity: jax.Array) -> sticking.FlightForces:
         places = node[None]
         mass, compliance = gather(data.active.mass, places), gather_columns(data.active.compliance, places)
         shares = gather_shares(corners, (gather(slots, places), jnp.int32(len(slots))))
         nodal = add_gravity(shares, mass, scene.solver.gravity)
+        impulse = length * jnp.stack(nodal)
+        if not scene.lands_smoothly:
+            return impulse, None
         gain = jnp.stack([velocity_step * f * c for f, c in zip(nodal, compliance, strict=True)])
         half = 0.0 if scene.solver.damping is None else 0.5 * scene.solver.damping * velocity_step
         # The velocity before is ((1 + half) v - gain) / (1 - half).
-        return length * (gain - 2.0 * half * velocity) / (1.0 - half)
+        return impulse, length * (gain - 2.0 * half * velocity) / (1.0 - half)
 
-    return change
+    return forces
 
 
 def replay_contact(
     moved: WindowState,
     before: jax.Array,
+    forces: jax.Array,
     length: jax.Array,
     scene: Scene,
     known: KnownContact,
     data: WindowData,
     frames: tuple[ToolFrame | None, ...],
 ) -> WindowState:
-    """The window state after the known contacts of one step, with velocities `before` it [m/s]; differentiable."""
+    """The window state after the known contacts of one step; differentiable.
+
+    Args:
+        moved: The window state after the step without them.
+        before: The nodes' velocities before the step (3, n_node) [m/s].
+        forces: The forces on them in the step (3, n_node) [N].
+        length: Step length [s].
+        scene: The scene.
+        known: The contacts.
+        data: Constants of the window.
+        frames: Frames of the surfaces in the step.
+    """
     landing, contact_step = _free_flight(moved, length, scene, data, frames)
+    contact_step = contact_step._replace(impulse=length * forces)
     if scene.lands_smoothly:
         contact_step = contact_step._replace(curve=length * (moved.nodes.velocities - before))
     if known.record is None:

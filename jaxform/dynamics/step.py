@@ -128,7 +128,9 @@ def step(
     if current.held is not None and contact is not None:
         moved = hold_sides_at_edges(current, moved, (velocity_step, length), scene, data, frames)
     if isinstance(contact, KnownContact):
-        moved = replay_contact(moved, current.nodes.velocities, length, scene, contact, data, frames)
+        assert advanced.forces is not None
+        before, forces = current.nodes.velocities, advanced.forces
+        moved = replay_contact(moved, before, forces, length, scene, contact, data, frames)
     elif contact is not None:
         over = None if advanced.slid is None else advanced.slid.over
         moved = search_contact(moved, length, contact, scene, data, frames, over, velocity_step)
@@ -253,6 +255,7 @@ class _AdvancedNodes(NamedTuple):
         slid: Contact of nodes that may have slid; None where no node can slide.
         by_tool: Work and friction of each tool.
         unresolved: Energy that the step misses, as in `scheme.unresolved_energy` [J].
+        forces: Forces on the nodes [N]; None in blocks, whose corner forces are kept.
     """
 
     positions: jax.Array | membrane.Vector
@@ -267,6 +270,7 @@ class _AdvancedNodes(NamedTuple):
     slid: _SlideContact | None = None
     by_tool: ToolEnergies = ToolEnergies()
     unresolved: jax.Array | float = 0.0
+    forces: jax.Array | None = None
 
 
 def _no_energies(scene: Scene, real: Any) -> ToolEnergies:
@@ -316,6 +320,7 @@ def _advance_nodes(
     advanced = _AdvancedNodes(
         positions, jnp.stack(velocities), volume, loss, None, history, work, by_tool=by_tool, unresolved=missed
     )
+    advanced = advanced._replace(forces=jnp.stack(nodal) if scene.surfaces else None)
     if state.slip is None:
         return advanced
     sliding = sliding_nodes(state.stuck, state.wall) & ~current.halted

@@ -52,3 +52,39 @@ def test_the_derivative_of_the_kinetic_energy_is_that_of_differences(over_mold: 
     np.testing.assert_allclose(value(jnp.asarray(1.0)), base.energy.kinetic, rtol=1e-9)
     difference = (float(value(jnp.asarray(1.0 + 1e-5))) - float(value(jnp.asarray(1.0 - 1e-5)))) / 2e-5
     np.testing.assert_allclose(slope, difference, rtol=1e-6)
+
+
+def _shot(factor: float) -> jaxform.Scene:
+    """The cup under a pressure so many times higher: its sheet strikes the mold, and most of the work is lost there."""
+    scene = scenes.cup()
+    return jaxform.replace(scene, {"pressure.value": factor * scene.pressure.value})
+
+
+@pytest.mark.parametrize("factor", [256.0, 2048.0])
+def test_a_sheet_that_strikes_its_mold_balances(factor: float) -> None:
+    """The loss of a landing is the kinetic energy at the time of impact, not at the middle of the step."""
+    energy = jaxform.run(_shot(factor)).energy
+    assert float(energy.contact_loss / energy.external_work) > 0.3
+    assert float(energy.balance_error) < 1e-3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("key", ["parison.thickness", "pressure.value", "solver.damping"])
+def test_the_derivative_of_the_contact_loss_is_that_of_differences(key: str) -> None:
+    scene = _shot(64.0)
+    start = jnp.asarray({"parison.thickness": 0.01, "pressure.value": 12.8, "solver.damping": 2.0}[key])
+    whole = {
+        "parison.thickness": scene.parison.thickness,
+        "pressure.value": scene.pressure.value,
+        "solver.damping": scene.solver.damping,
+    }[key]
+
+    def lost(value: jax.Array) -> jax.Array:
+        changed = jaxform.replace(scene, {key: whole * value / start})
+        return jaxform.simulate(changed).energy.contact_loss
+
+    value, slope = jax.jit(lost), float(jax.jit(jax.grad(lost))(start))
+    np.testing.assert_allclose(value(start), jaxform.run(scene).energy.contact_loss, rtol=1e-9)
+    way = 1e-6 * start
+    difference = (float(value(start + way)) - float(value(start - way))) / float(2.0 * way)
+    np.testing.assert_allclose(slope, difference, rtol=1e-6)
