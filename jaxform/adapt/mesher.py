@@ -227,7 +227,8 @@ def _held_sheet(
         triangles=triangles.astype(np.int32),
         clamped=np.append(clamped, np.zeros(added, bool)),
         fixed=np.concatenate([fixed, np.zeros((added, 3), bool)]),
-        fields=_carried_fields(sheet, points),
+        fields=carry_fields(sheet, points),
+        cell_fields={},
     )
 
 
@@ -287,8 +288,8 @@ class _Old:
         return interpolate(values, triangles, found.triangle, weight)
 
 
-def _carried_fields(sheet: Sheet, points: Array) -> dict[str, Array]:
-    """The sheet's nodal fields at points (n, 3) [m]."""
+def carry_fields(sheet: Sheet, points: Array) -> dict[str, Array]:
+    """The sheet's nodal fields at points (n, 3) [m], linear within its triangles."""
     if not sheet.fields:
         return {}
     values = _Old(sheet).at(np.stack(list(sheet.fields.values()), axis=1), points)
@@ -340,7 +341,7 @@ def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
             points[node] = last
     there = (points == places).all(1)
     triangles = _join_nodes(points, np.asarray(sheet.triangles, np.int64), pairs[there[pairs].all(1)], _LEFT)
-    return replace(sheet, positions=points, triangles=triangles.astype(np.int32), fields=_carried_fields(sheet, points))
+    return replace(sheet, positions=points, triangles=triangles.astype(np.int32), fields=carry_fields(sheet, points))
 
 
 # Lines that are to be edges of the new mesh: nodes along them, as far apart as the sizes say, are put into the old mesh
@@ -413,7 +414,8 @@ def _insert_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> tuple[S
         triangles=np.array(division.triangles, np.int32),
         clamped=held[:, 0],
         fixed=held[:, 1:],
-        fields=_carried_fields(sheet, positions),
+        fields=carry_fields(sheet, positions),
+        cell_fields={},
     )
     added = positions[len(sheet.positions) :]
     there = np.unique(numbers[numbers >= 0]), pairs[(pairs >= 0).all(1) & (pairs[:, 0] != pairs[:, 1])]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -81,7 +82,8 @@ def adapt_sheet(
         tell(run_before)
     _warn_of_error(float(kept.pop(_ERROR, 0.0)), len(kept["triangles"]))
     held: Any = {name: kept.pop(name) for name in ("positions", "triangles", "clamped", "fixed")}
-    return Sheet(**held, fields=kept, snap=sheet.snap, guided=sheet.guided)
+    fields = {name.removeprefix(_FIELD): values for name, values in kept.items()}
+    return Sheet(**held, fields=fields, snap=sheet.snap, guided=sheet.guided)
 
 
 def _key(document: SceneDocument, sheet: Sheet) -> str:
@@ -109,10 +111,14 @@ def _warn_of_error(error: float, elements: int) -> None:
         warn_of(problem, f"allow about {wanted} for {100 * _GOOD:.0f} %", key="parison.adapt.elements", value=elements)
 
 
+_FIELD = "field:"
+"""The prefix there of the names of the sheet's fields, which may be any."""
+
+
 def _arrays(sheet: Sheet) -> Arrays:
     """A sheet as named arrays."""
     held = {"positions": sheet.positions, "triangles": sheet.triangles, "clamped": sheet.clamped, "fixed": sheet.fixed}
-    return sheet.fields | held
+    return {_FIELD + name: values for name, values in sheet.fields.items()} | held
 
 
 def _make(document: SceneDocument, sheet: Sheet, store: Store | None, tell: Callable[[Array], None]) -> Arrays:
@@ -120,7 +126,7 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, tell: Call
     wanted = document.model.parison.adapt
     assert wanted is not None
     mesher.load_mmg()
-    runs, most = list[Array](), wanted.elements or max(_ELEMENTS, len(sheet.triangles))
+    runs, most, first = list[Array](), wanted.elements or max(_ELEMENTS, len(sheet.triangles)), sheet
 
     def note(*run: float) -> None:
         runs.append(np.array(run))
@@ -131,10 +137,16 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, tell: Call
         note(len(sheet.triangles), size_field.mean_error(scene, result), _UNMOVED, 0.0)
         lines = size_field.edge_lines(scene, result)
         sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), most, lines)
+        sheet = _with_fields_of(first, sheet)
     if document.model.solver.edge_contact:
-        sheet = _move_to_edges(document, sheet, store, wanted.passes, note)
+        sheet = _with_fields_of(first, _move_to_edges(document, sheet, store, wanted.passes, note))
     expected = runs[-1][1] * float(np.sqrt(runs[-1][0] / len(sheet.triangles)))
     return {**_arrays(sheet), _RUNS: np.array(runs), _ERROR: np.array(expected)}
+
+
+def _with_fields_of(first: Sheet, sheet: Sheet) -> Sheet:
+    """The sheet with the fields of its first mesh: those of a mesh in between are smoothed by it."""
+    return replace(sheet, fields=mesher.carry_fields(first, sheet.positions))
 
 
 def _move_to_edges(

@@ -118,6 +118,7 @@ def read_sheet_mesh(sheet: shapes.Sheet, path: Path) -> shapes.Sheet:
         clamped=clamped,
         fixed=np.stack(fixed, axis=1),
         fields=fields,
+        cell_fields={},
     )
     for one, other in ((sheet, made), (made, sheet)):
         size = meshes.size(one.positions)

@@ -6,6 +6,7 @@ import json
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -15,10 +16,12 @@ import pytest
 
 import jaxform
 from benchmarks.accuracy import cases
+from jaxform.adapt import mesher
 from jaxform.cli import main
 from jaxform.core.errors import InputError, InputWarning
 from jaxform.core.store import Arrays
 from jaxform.io import adaptation, files, geometry, scene_rewriting
+from jaxform.mesh import meshes
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
 
@@ -185,6 +188,34 @@ def test_a_run_that_stops_has_no_mesh(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("damping = 63.246", "damping = 63.246\nmax_steps = 100"))
     with pytest.raises(InputError, match=r"parison\.adapt: adaptation pass 1 stopped: .* without parison\.adapt first"):
         files.build(files.read_scene(path))
+
+
+def test_fields_of_a_mesh_file_are_those_of_the_file_after_every_pass(tmp_path: Path) -> None:
+    """Each mesh in between would smooth a field; and its name may be any, also one that adaptation uses itself."""
+    document = files.read_scene(_write(tmp_path, elements=60))
+    sheet = geometry.build_sheet(document)
+    thickness = 0.01 * (1.0 + 0.2 * np.random.default_rng(1).uniform(-1.0, 1.0, len(sheet.positions)))
+    meshes.write_vtu(tmp_path / "own.vtu", sheet.positions, sheet.triangles, {"runs": thickness, "clamped": thickness})
+    disc = "\n".join(['shape = "disc"', "radius = 1.0", "elements = 60", 'symmetry = "quarter"', "thickness = 0.01"])
+    path = tmp_path / "scene.toml"
+    scene, found = path.read_text(), []
+    assert disc in scene
+    for given in ('"field:runs"', '{ file = "own.vtu", field = "clamped" }'):
+        own = f'shape = "file"\npath = "own.vtu"\nplanes = ["x", "y"]\nthickness = {given}\n'
+        path.write_text(scene.replace(disc, own + "adapt = { elements = 200, passes = 2 }"))
+        found.append(files.build(files.read_scene(path)).parison)
+    one, other = found
+    np.testing.assert_array_equal(one.positions, other.positions)
+    np.testing.assert_allclose(one.thickness, other.thickness, rtol=1e-12)
+
+
+def test_a_new_mesh_has_no_fields_of_the_triangles_of_the_old_one(tmp_path: Path) -> None:
+    sheet = geometry.build_sheet(files.read_scene(_write(tmp_path, elements=60)))
+    marked = replace(sheet, cell_fields={"left": np.ones(len(sheet.triangles))})
+    made = mesher.remesh(marked, np.ones(len(sheet.positions)), 100)
+    meshes.write_vtu(tmp_path / "made.vtu", made.positions, made.triangles, geometry.sheet_fields(made))
+    for each in (made, geometry.read_sheet_mesh(marked, tmp_path / "made.vtu")):
+        assert all(len(values) == len(each.triangles) for values in each.cell_fields.values())
 
 
 @pytest.mark.long
