@@ -179,7 +179,10 @@ def _through_faces(
         normal = _normals(corners[met])
         along = (end - begin)[met]
         share = np.einsum("ij,ij->i", corners[met, 0] - begin[met], normal) / np.einsum("ij,ij->i", along, normal)
-        places.append(begin[met] + share[:, None] * along)
+        place = begin[met] + share[:, None] * along
+        inside = _side_distances(place, corners[met]) > _SAME
+        met, along = met[inside], along[inside]
+        places.append(place[inside])
         owners.append(met)
         edges.append(along * np.sign(np.einsum("ij,ij->i", along, up[met]))[:, None])
     place, pair, edge = np.concatenate(places), np.concatenate(owners), np.concatenate(edges)
@@ -197,6 +200,16 @@ def _through_faces(
     triangles = corners[pair[first]][kept]
     side = longest_sides(triangles)
     return _escaping_spots(middle, width, way[kept], 0.0 * way[kept], up[pair[first]][kept], _normals(triangles), side)
+
+
+def _side_distances(places: Array, corners: Array) -> Array:
+    """Distances (n,) of places in triangles (n, 3, 3) from the nearest side, in heights of the triangle over it.
+
+    Edges of a face that ends at an element's side, as the lid's of a bottle at a parison's rim, do not come through it.
+    """
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.stack([np.cross(corners[:, k - 2] - places, corners[:, k - 1] - places) for k in range(3)], axis=1)
+    return (np.einsum("ikj,ij->ik", areas, normal) / np.einsum("ij,ij->i", normal, normal)[:, None]).min(1)
 
 
 def _escaping_spots(

@@ -91,6 +91,33 @@ def _rises_between(away: Array, *, noise: float = 0.0) -> Ribs:
     return find_ribs(positions, np.tile(away / np.linalg.norm(away), (len(positions), 1)), sticks, ways, corners, grid)
 
 
+def test_the_lid_of_a_bottle_at_the_rim_of_a_parison_is_no_pin() -> None:
+    """The clamped ring of a tube lies in the lid of a closed bottle: a fan of its edges ends at each of its sides."""
+
+    def circle(radius: float, count: int, z: float, turned: float = 0.0) -> Array:
+        angle = 2 * np.pi * np.arange(count) / count + turned
+        return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, z)], axis=1)
+
+    around, k = circle(0.01, 96, 0.2), np.arange(12)
+    beside, below = np.roll(around, -1, axis=0), around - [0.0, 0.0, 0.03]
+    neck = [(around, below, beside), (beside, below, np.roll(below, -1, axis=0))]
+    lid = np.concatenate([np.stack(one, axis=1) for one in ((around, beside, np.tile([0, 0, 0.2], (96, 1))), *neck)])
+    following = (k + 1) % 12
+    triangles = np.concatenate([np.c_[k, following, following + 12], np.c_[k, following + 12, k + 12]])
+    mold = jaxform.make_mold(lid.reshape(-1, 3), np.arange(3 * len(lid)).reshape(-1, 3))
+    grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
+    cut = 0
+    # Which edges seem to come through is decided by rounding.
+    for turned in np.linspace(0.0, 0.5, 40):
+        lower = circle(0.0099998, 12, 0.1963, turned)
+        positions = np.concatenate([circle(0.00749, 12, 0.2, turned), lower])
+        ways = Ways(triangles, positions[triangles], lid, grid)
+        inwards = -positions * [1.0, 1.0, 0.0] / np.linalg.norm(positions[:, :2], axis=1, keepdims=True)
+        assert find_ribs(positions, inwards, np.ones(24, bool), ways, lid, grid).count == 0
+        cut += len(ways.element)
+    assert cut > 0
+
+
 @pytest.mark.parametrize("along", [0.0, 0.6, 2.0])
 def test_a_rib_is_measured_square_to_the_sheet_where_nodes_look_along_it(along: float) -> None:
     """Some nodes beside the end of a rib stick to it, and the way off the mold leads along the rib."""
