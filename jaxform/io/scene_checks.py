@@ -12,6 +12,7 @@ from jaxform.core.errors import format_extent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
 from jaxform.io.plausibility import (
     heights_above,
+    offsets_of,
     warn_of_images,
     warn_of_land,
     warn_of_motion,
@@ -301,7 +302,11 @@ def _warn_of_mold(scene: Scene, seen: Survey, file: str, table: Any, sheet_table
         scales = getattr(table, "scale", None), getattr(sheet_table, "scale", None)
         _tell_of_size("mold", "mold", ratio, *scales, boxes, file)
     elif scene.motion is not None:
-        return
+        _warn_of_bare_around(scene, seen, file)
+    elif _lies_on_mold(scene):
+        problem = f"the whole sheet lies on the mold at the start, and stays there ({boxes})"
+        remedy = "turn the mold, so that its open side faces the sheet (mold.rotate), or move it (mold.translate)"
+        warn_of(problem, remedy, key="mold", file=file)
     elif not seen.changes_sign and (seen.exposed >= _EXPOSED or (seen.ahead < _HARDLY <= seen.behind)):
         _warn_of_side(scene, seen, boxes, file)
     elif seen.overlap is not None and seen.overlap + seen.exposed < _HARDLY:
@@ -332,16 +337,44 @@ def _tell_of_size(
     warn_of(f"the {words} is {times}{guess} ({boxes})", remedy, key=key, value=scale, file=file)
 
 
-def _warn_of_bare(seen: Survey, overlap: float, radius: float, middle: Array, file: str) -> None:
+_REMEDY_OF_BARE = (
+    "cover the hole or extend the mold, make the sheet as large as the opening, or, of a half or a quarter of a "
+    "mold, give parison.symmetry"
+)
+
+
+def _lies_on_mold(scene: Scene) -> bool:
+    """True if all nodes that are not clamped are in contact with a mold, to which they stick, from the start."""
+    contact, nodes = scene.tables.initial_contact, np.unique(np.asarray(scene.parison.triangles))
+    if scene.mold is None or contact is None or not scene.mold.contact.sticks or scene.tools:
+        return False
+    return bool((np.asarray(contact)[nodes] | np.asarray(scene.parison.clamped)[nodes]).astype(bool).all())
+
+
+def _warn_of_bare_around(scene: Scene, seen: Survey, file: str) -> None:
+    """Warns of sheet that a mold which moves alone has before it neither at first nor at rest: of no platen."""
+    assert scene.mold is not None
+    if scene.tools or seen.changes_sign or not seen.faces or not np.any(scene.pushes()):
+        return
+    rest = offsets_of(scene.mold, np.array([float(scene.solver.end_time)]))[0]
+    walls = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
+    corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
+    overlap, _, bare = _overlap(corners, np.concatenate([walls, walls + rest]), seen.push)
+    remedy = (
+        "add a platen at the mold's base (a second file in mold.path, or a [[tool]]; `jaxform new` makes one), or make "
+        "the sheet as large as the opening"
+    )
+    _warn_of_bare(seen, overlap, *bare, file, remedy)
+
+
+def _warn_of_bare(
+    seen: Survey, overlap: float, radius: float, middle: Array, file: str, remedy: str = _REMEDY_OF_BARE
+) -> None:
     """Warns of sheet that the pressure would blow past the mold, or through it."""
     if 1 - overlap < _BARE and radius < _HOLE * box_size(seen.sheet):
         return
     share = f"{100 * (1 - overlap):.3g} % of the sheet has no mold in front of it"
     where = f"within {radius:.2g} m of {format_place(middle)} there is none"
-    remedy = (
-        "cover the hole or extend the mold, make the sheet as large as the opening, or, of a half or a quarter of a "
-        "mold, give parison.symmetry"
-    )
     warn_of(f"{share}, {seen.direction}: {where}, so that nothing stops it there", remedy, key="mold", file=file)
 
 

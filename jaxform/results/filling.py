@@ -145,6 +145,9 @@ def measure_filling(result: Result, scene: Scene) -> Filling:
     opening, positions, triangles = _opening_and_part(result, scene)
     formed = positions, triangles, np.asarray(result.wall), clamped, scene.strongest_push(), scene.mold, grid
     gap = widest_gap(*formed, places=opening.places)
+    if opening.facing is not None and gap.width > opening.depth > 0.0:
+        # Before surfaces that the sheet does not meet first, as the base of a buck that it is blown past.
+        gap = widest_gap(*formed, counts=opening.facing.meets, places=opening.places)
     if gap.element < 0 or not gap.width > _SMALL * float(grid.size):
         return Filling(_offset_gap(gap, offset), 0.0, NO_GAP)
     left = NO_GAP

@@ -120,8 +120,8 @@ def warnings_of_no_work(energy: Energy) -> list[str]:
     work = max(abs(float(energy.work)), float(energy.peak_work))
     return [
         f"the sheet hardly moved: the pressure did {work:.2g} J of work, less than the {float(energy.rounding):.2g} J "
-        "that the energy balance can resolve; raise the pressure or solver.end_time, or check the units of "
-        "material.density"
+        "that the energy balance can resolve; raise the pressure or solver.end_time, check the units of "
+        "material.density, or, where all of the sheet lies on the mold at the start, turn or move the mold"
     ]
 
 

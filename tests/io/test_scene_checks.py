@@ -217,6 +217,40 @@ def test_a_hole_in_the_mold_is_told_with_its_place(hole: float) -> None:
         warn_of_scene(scene)
 
 
+_BUCK_ALONE = """
+[mold]
+shape = "revolved"
+profile = {profile}
+rotate = [180.0, 0.0, 0.0]
+translate = [0.0, 0.0, 0.051]
+fill = false
+[mold.motion]
+direction = [0.0, 0.0, -1.0]
+time = [0.0, 0.1]
+displacement = [0.0, 0.0508]
+"""
+
+
+@pytest.mark.parametrize(("platen", "value"), [(0.12, 2.0e4), (0.0, 2.0e4), (0.0, 0.0)])
+def test_a_buck_without_a_platen(tmp_path: Path, platen: float, value: float) -> None:
+    """What is beside the buck is blown past it; without a pressure the buck alone does the work."""
+    profile = [[0.0, 0.05], [0.04, 0.05], [0.04, 0.0], [platen, 0.0]][: 4 if platen else 3]
+    begin, end = scenes.FILE.index("[mold]"), scenes.FILE.index("[solver]")
+    text = scenes.FILE.replace(scenes.FILE[begin:end], _BUCK_ALONE.format(profile=profile)).replace("2.0e4", str(value))
+    told = _collect_warnings(tmp_path, text.replace("end_time = 0.05", "end_time = 0.2"))
+    bare = [words for words in told if "of the sheet has no mold in front of it, towards +z" in words]
+    assert len(bare) == (not platen and value > 0.0), told
+    for words in bare:
+        assert float(words.split("mold: ")[1].split(" %")[0]) == pytest.approx(84.0, abs=0.5)
+        assert "add a platen" in words
+
+
+def test_a_sheet_on_the_closed_side_of_a_mold(tmp_path: Path) -> None:
+    """A mug on its base, over whose base the sheet lies: no node ever moves."""
+    told = _collect_warnings(tmp_path, _with_profile([[0.0, 0.0], [0.12, 0.0], [0.12, 0.05]]))
+    assert len(told) == 1 and "the whole sheet lies on the mold at the start" in told[0] and "mold.rotate" in told[0]
+
+
 def test_a_law_that_lets_go_is_told_with_the_stretch(tmp_path: Path) -> None:
     law = 'model = "yeoh"\nc1 = 2e5\nc2 = {c2}\nc3 = 0.0\n'
     text = scenes.FILE.replace('model = "mooney-rivlin"\nc = 0.2e6\nalpha = 0.1\n', law)
