@@ -233,7 +233,7 @@ displacement = [0.0, 0.0508]
 
 @pytest.mark.parametrize(("platen", "value"), [(0.12, 2.0e4), (0.0, 2.0e4), (0.0, 0.0)])
 def test_a_buck_without_a_platen(tmp_path: Path, platen: float, value: float) -> None:
-    """What is beside the buck is blown past it; without a pressure the buck alone does the work."""
+    """The sheet beside a buck is blown past it; without a pressure the buck alone does the work."""
     profile = [[0.0, 0.05], [0.04, 0.05], [0.04, 0.0], [platen, 0.0]][: 4 if platen else 3]
     begin, end = scenes.FILE.index("[mold]"), scenes.FILE.index("[solver]")
     text = scenes.FILE.replace(scenes.FILE[begin:end], _BUCK_ALONE.format(profile=profile)).replace("2.0e4", str(value))

@@ -107,7 +107,7 @@ def test_the_lid_of_a_bottle_at_the_rim_of_a_parison_is_no_pin() -> None:
     mold = jaxform.make_mold(lid.reshape(-1, 3), np.arange(3 * len(lid)).reshape(-1, 3))
     grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
     cut = 0
-    # Which edges seem to come through is decided by rounding.
+    # Rounding decides which edges seem to come through.
     for turned in np.linspace(0.0, 0.5, 40):
         lower = circle(0.0099998, 12, 0.1963, turned)
         positions = np.concatenate([circle(0.00749, 12, 0.2, turned), lower])
