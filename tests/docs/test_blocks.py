@@ -8,11 +8,18 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from jaxform import molds, shapes
+from jaxform.cli import check_command
+from jaxform.core.store import Store
+from jaxform.io import files
+from jaxform.mesh import meshes
 from tests import scenes
 
 ROOT = Path(__file__).parents[2]
@@ -119,3 +126,125 @@ def test_a_jitted_script_compiles_once_though_simulate_is_first_used_inside_the_
     """No module that is imported then may add to what JAX compares when it looks for a traced function."""
     ((_, first), (_, second)), _ = _run([_JITTED, _CALL], tmp_path, quickly=False)
     assert first > 0 and second == 0
+
+
+_TABLES = re.compile(r"^```toml\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_BASE = """
+parison = { shape = "disc", radius = 0.1, elements = 300, thickness = 1e-3 }
+material = { model = "mooney-rivlin", c = 0.2e6, alpha = 0.1, density = 1000.0 }
+pressure = { time = [0.0, 0.2], value = [0.0, 2.0e4] }
+mold = { shape = "revolved", profile = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]] }
+solver = { end_time = 0.24, damping = 100.0 }
+"""
+_WARM = """
+parison.temperature = 140.0
+material.shift = { kind = "arrhenius-stiffness", reference = 140.0, activation_energy = 4.0e4 }
+"""
+_TOLD = {
+    "temperature": _WARM,
+    "heater-zones": _WARM,
+    "[cooling]": _WARM,
+    "orifice_area": 'parison = { shape = "tube", radius = 0.02, length = 0.1, elements = 200, thickness = 1e-3 }',
+    "region =": 'parison = { shape = "rectangle", size = [0.2, 0.1], elements = 300, thickness = 1e-3 }',
+    "molds =": 'mold = { shape = "file", path = "cup.stl", scale = 0.001 }',
+    "closed_by": _BASE,
+    '= "field:': 'parison = { shape = "file", path = "sheet.vtu" }',
+}
+"""What a page says around a block that has a text in it; the last that fits counts."""
+_STUDY = """
+scene = "scene.toml"
+variable = [{ kind = "pressure", bounds = [0.0, 3e4] }]
+objective = { kind = "uniform" }
+solver = { method = "lbfgs" }
+"""
+TABLES = [
+    pytest.param(text, id=f"{page.stem}-{number}")
+    for page in _PAGES
+    if "_generated" not in page.parts
+    for number, text in enumerate(_TABLES.findall(page.read_text()))
+]
+
+
+def _write_files(folder: Path) -> None:
+    """The files that tables on the pages name."""
+    for name, profile in (("cup", [[0.0, 50], [55, 50], [100, 0], [115, 0]]), ("block", [[0, 50], [40, 50], [45, 0]])):
+        shape = molds.revolved(profile=profile, segments=48)
+        meshes.write_stl(folder / f"{name}.stl", shape.vertices, shape.triangles)
+    plate = shapes.rectangle(size=(300.0, 300.0), elements=8)
+    meshes.write_stl(folder / "platen.stl", plate.positions - [150.0, 150.0, 0.0], plate.triangles)
+    disc = shapes.disc(radius=0.1, elements=300)
+    ones = np.ones(len(disc.positions))
+    fields = {"thickness": 1e-3 * ones, "alpha": 0.1 * ones}
+    quarter = shapes.disc(radius=0.1, elements=100, symmetry="quarter")
+    (folder / "out" / "first").mkdir(parents=True)
+    for name in ("sheet", "measured"):
+        meshes.write_vtu(folder / f"{name}.vtu", disc.positions, disc.triangles, fields)
+    first = {"thickness": np.full(len(quarter.positions), 1e-3)}
+    meshes.write_vtu(folder / "out" / "first" / "final.vtu", quarter.positions, quarter.triangles, first)
+    half = shapes.rectangle(size=(150.0, 100.0), elements=200)
+    meshes.write_vtu(folder / "parison.vtu", half.positions, half.triangles)
+    power = _BLOCK.findall((ROOT / "docs" / "how-to" / "extend.md").read_text())[0]
+    (folder / "power.py").write_text(power)
+
+
+def _scene_around(text: str) -> dict[str, Any]:
+    """The tables of a scene that a block stands in."""
+    whole = tomllib.loads(_BASE)
+    for told, tables in _TOLD.items():
+        if told in text:
+            whole = _merge(whole, tomllib.loads(tables))
+    if "[gas]" in text and "[pressure]" not in text:
+        del whole["pressure"]
+    return whole
+
+
+def _merge(whole: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:
+    """The tables with those of a block, which complete one of the same shape and model and replace another."""
+    merged = dict(whole)
+    for name, table in tables.items():
+        known: Any = whole.get(name)
+        completes = isinstance(known, dict) and isinstance(table, dict) and not table.keys() & {"shape", "kind"}
+        if completes and "density" not in table and table.get("model") in {None, known.get("model")}:
+            merged[name] = known | table
+        else:
+            merged[name] = table
+    if merged.get("parison", {}).get("shape") in {"tube", "preform"} and "mold" not in tables:
+        merged.pop("mold", None)
+    return merged
+
+
+@pytest.mark.filterwarnings("ignore::jaxform.InputWarning")  # a table may not suit what it is completed with
+@pytest.mark.parametrize("text", TABLES)
+def test_the_tables_of_a_page_are_taken_as_they_stand(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reader copies them; a study with `hops` and a limit, which the page of studies began with, was refused."""
+    monkeypatch.chdir(tmp_path)
+    _write_files(tmp_path)
+    (tmp_path / "scene.toml").write_text(_toml(_scene_around(text)))
+    # Keys without a table are examples of one key each, of the sheet.
+    keys = [line for line in text.splitlines() if line.strip()]
+    blocks = [text] if re.search(r"^\[|^scene", text, re.MULTILINE) else [f"[parison]\n{line}" for line in keys]
+    for block in blocks:
+        tables = tomllib.loads(block)
+        if tables.keys() & {"scene", "variable", "sweep"}:
+            (tmp_path / "study.toml").write_text(_toml(_merge(tomllib.loads(_STUDY), tables)))
+            if "sweep" not in tables:
+                check_command.read_study("study.toml", Store(None))
+            continue
+        (tmp_path / "scene.toml").write_text(_toml(_merge(_scene_around(block), tables)))
+        document = files.read_scene("scene.toml")
+        if "adapt" not in tables.get("parison", {}):  # which simulates
+            files.build(document)
+
+
+def _toml(tables: dict[str, Any]) -> str:
+    return "\n".join(f"{key} = {_value(value)}" for key, value in tables.items())
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {_value(item)}' for key, item in value.items())} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    return json.dumps(value)
