@@ -150,7 +150,7 @@ _TOLD = {
     "closed_by": _BASE,
     '= "field:': 'parison = { shape = "file", path = "sheet.vtu" }',
 }
-"""What a page says around a block that has a text in it; the last that fits counts."""
+"""Tables that a page gives in words around a block with a text in it; the last that fits counts."""
 _STUDY = """
 scene = "scene.toml"
 variable = [{ kind = "pressure", bounds = [0.0, 3e4] }]
