@@ -482,6 +482,16 @@ def test_a_designed_field_is_a_map_and_a_profile_a_line(design: Path, tmp_path: 
     profile = results.part._replace(nodal=results.part.nodal | {"initial_thickness": 1e-3 * (1.0 + RADIUS)})
     (chart,) = charts._initial(results.start, profile, {}, contents.Parcel())
     assert len(chart["series"]) == 2 and "map" not in chart
+    # Over a sheet that is not flat, as a preform's, its range.
+    place = results.part.reference + np.outer(RADIUS, [0.0, 0.0, 0.3])
+    part = results.part._replace(reference=place)
+    parcel = contents.Parcel()
+    (chart,) = charts._initial(results.start, part, {}, parcel)
+    lines = _unpack(parcel.text({}))[1]
+    least, mean, largest = (lines[line["points"]][:, 1] for line in chart["series"][:3])
+    assert len(chart["series"]) == 6 and not any(line["dots"] for line in chart["series"])
+    assert (least < mean).all() and (mean < largest).all() and 40 >= len(mean) >= 4
+    np.testing.assert_allclose([least.min(), largest.max()], [1e3 * field.min(), 1e3 * field.max()], rtol=1e-4)
 
 
 def test_the_wall_beyond_the_part_is_grey(folder: Path) -> None:

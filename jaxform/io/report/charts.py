@@ -131,6 +131,7 @@ def _clamped_nodes(part: StoredPart, symmetry: Mapping[str, float]) -> NDArray[n
 _KEPT = 5e-3  # of a limit, by which it may be broken
 
 
+_GROUPS = 40  # of nodes along a sheet, of each of which a field's range is drawn
 _EVEN = 1e-6  # of a field's largest value, by which it may vary where it is one number
 _DESIGNED = {
     "initial_thickness": ("initial thickness [mm]", 1e3),
@@ -187,7 +188,7 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
 def _initial(start: StoredPart, best: StoredPart, symmetry: Mapping[str, float], parcel: Parcel) -> list[Chart]:
     """Chart of the thickness or temperature that the search changed, over the initial sheet; empty without one.
 
-    A field over a flat sheet is a map, anything else points along it.
+    A field over a flat sheet is a map, one over another sheet its range along it, anything else points along it.
     """
     changed = [name for name in _DESIGNED if name in best.nodal and not _same(start.nodal.get(name), best.nodal[name])]
     if not changed:
@@ -195,18 +196,34 @@ def _initial(start: StoredPart, best: StoredPart, symmetry: Mapping[str, float],
     (words, factor), name = _DESIGNED[changed[0]], changed[0]
     disc, along = is_disc(best, symmetry), int(np.argmax(np.ptp(best.reference, axis=0)))
     place = np.hypot(*best.reference[:, :2].T) if disc else best.reference[:, along]
-    if is_flat(_scene(best, symmetry)) and varies_across(place, best.nodal[name]):
+    is_field = varies_across(place, best.nodal[name])
+    if is_field and is_flat(_scene(best, symmetry)):
         return _maps(start, best, name)
     series = []
     for role, label, part in (("after", "best design", best), ("before", "start", start)):
         if name not in part.nodal:
             continue
         place = np.hypot(*part.reference[:, :2].T) if disc else part.reference[:, along]
+        if is_field:
+            lines = _range_along(place, part.nodal[name])
+            series += [
+                {"label": f"{label}: least, mean, largest" * (number == 0), "role": role, "dots": False}
+                | _pack(parcel, f"initial.{role}{number}", 1e3 * along_sheet, factor * values)
+                for number, (along_sheet, values) in enumerate(lines)
+            ]
+            continue
         kept = _visible_points(place, part.nodal[name], dots=True)
         points = _pack(parcel, f"initial.{role}", 1e3 * place[kept], factor * part.nodal[name][kept])
         series.append({"label": label, "role": role, "dots": True, **points})
     where = "initial radius" if disc else f"initial {'xyz'[along]}"
     return [_chart("The initial sheet", f"{where} [mm]", words, series, zero=factor > 1.0)]
+
+
+def _range_along(place: Array, values: Array) -> list[tuple[Array, Array]]:
+    """Lines (k,), (k,) of the least, the mean and the largest of the values (n,) at nearly the same place (n,)."""
+    groups = np.array_split(np.argsort(place), max(1, min(_GROUPS, len(place) // 8)))
+    along = np.array([place[group].mean() for group in groups])
+    return [(along, np.array([of(values[group]) for group in groups])) for of in (np.min, np.mean, np.max)]
 
 
 def _maps(start: StoredPart, best: StoredPart, name: str) -> list[Chart]:
