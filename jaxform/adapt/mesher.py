@@ -23,7 +23,7 @@ from scipy.spatial import KDTree
 from jaxform.core.errors import InputError
 from jaxform.mesh import topology
 from jaxform.mesh.shapes import Sheet
-from jaxform.mesh.volumes import areas
+from jaxform.mesh.volumes import areas, longest_sides
 from jaxform.tools.distances import Distances, interpolate, signed_weights, weights
 
 Array = NDArray[np.float64]
@@ -342,6 +342,61 @@ def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
     there = (points == places).all(1)
     triangles = _join_nodes(points, np.asarray(sheet.triangles, np.int64), pairs[there[pairs].all(1)], _LEFT)
     return replace(sheet, positions=points, triangles=triangles.astype(np.int32), fields=carry_fields(sheet, points))
+
+
+_HIGHER = 2.0  # times as high as the lowest triangle is each part of a divided one, which may be stretched more
+
+
+def divide_sides(sheet: Sheet, ends: Index, share: Array, elements: int) -> Sheet:
+    """The sheet with new nodes on sides of its triangles, the first ones first, as far as these may be so many.
+
+    A triangle is divided once, and only where each part is twice as high as the lowest triangle: steps become no
+    shorter.
+
+    Args:
+        sheet: The sheet.
+        ends: The ends (k, 2) of the sides.
+        share: The places (k,) on them, from 0 at the first end to 1 at the second.
+        elements: Largest number of triangles.
+    """
+    beside, height = _triangles_of_sides(sheet.triangles), _heights(sheet.positions, sheet.triangles)
+    places = sheet.positions[ends[:, 0]] + share[:, None] * (sheet.positions[ends[:, 1]] - sheet.positions[ends[:, 0]])
+    on_rim = np.array([len(beside.get((min(pair), max(pair)), [])) == 1 for pair in ends], bool)
+    fixed = sheet.fixed[ends].all(1) & on_rim[:, None]
+    places = np.where(fixed, places, _snap(sheet, places, sheet.positions[ends], rim=False))
+    chosen, divided, count = list[int](), np.zeros(len(sheet.triangles), bool), len(sheet.triangles)
+    for number, (pair, place) in enumerate(zip(ends, places, strict=True)):
+        own = beside.get((min(pair), max(pair)), [])  # none where it was turned
+        if not own or sheet.clamped[pair].all() or divided[own].any() or count + len(own) > elements:
+            continue
+        parts = topology.split_edges(sheet.positions, sheet.triangles[own], pair[None], place[None])
+        if _heights(*parts).min() >= _HIGHER * height.min():
+            chosen.append(number)
+            divided[own], count = True, count + len(own)
+    points, triangles = topology.split_edges(sheet.positions, sheet.triangles, ends[chosen], places[chosen])
+    return replace(
+        sheet,
+        positions=points,
+        triangles=triangles.astype(np.int32),
+        clamped=np.append(sheet.clamped, np.zeros(len(chosen), bool)),
+        fixed=np.concatenate([sheet.fixed, fixed[chosen]]),
+        fields=carry_fields(sheet, points),
+        cell_fields={},
+    )
+
+
+def _triangles_of_sides(triangles: NDArray[np.integer]) -> dict[tuple[int, int], list[int]]:
+    """The numbers of the triangles beside each side, smaller end first."""
+    beside: dict[tuple[int, int], list[int]] = {}
+    for number, corners in enumerate(triangles.tolist()):
+        for one, other in zip(corners, corners[1:] + corners[:1], strict=True):
+            beside.setdefault((min(one, other), max(one, other)), []).append(number)
+    return beside
+
+
+def _heights(points: Array, triangles: NDArray[np.integer]) -> Array:
+    """The lowest heights (m,) [m] of triangles."""
+    return 2.0 * areas(points, triangles) / longest_sides(points[triangles])
 
 
 # Lines that are to be edges of the new mesh: nodes along them, as far apart as the sizes say, are put into the old mesh

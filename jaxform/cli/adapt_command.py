@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
 
 if TYPE_CHECKING:
+    from jaxform.core.store import Store
     from jaxform.io.files import SceneDocument
+    from jaxform.mesh.shapes import Sheet
 
 NAME = "adapted.toml"
 """The file of the adapted scene; its mesh has the same name."""
@@ -36,11 +39,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def adapt(arguments: argparse.Namespace) -> int:
     """Runs `jaxform adapt` with its arguments and returns its exit status."""
     say, store = session.prepare(arguments)
-    from jaxform.io import adaptation, files, geometry, output, scene_rewriting
+    from jaxform.io import adaptation, files, output, scene_rewriting
 
     read = files.read_scene(arguments.source)
     document = adaptation.adaptable(read, elements=arguments.elements, passes=arguments.passes)
     session.open_folder(arguments.out, arguments.force)
+
+    made, runs = adapt_mesh(document, store, say)
+    with files.error_context(document.file):
+        path = scene_rewriting.write_scene(document, {}, arguments.out, NAME)
+    output.write_json(arguments.out / SUMMARY, {"scene": document.name, "elements": len(made.triangles), "runs": runs})
+    say(f"wrote {NAME} with {len(made.triangles)} elements into {arguments.out}")
+    say(f"next:\n    jaxform simulate {shlex.quote(str(path))} --out {shlex.quote(str(arguments.out / 'formed'))}")
+    return session.DONE
+
+
+def adapt_mesh(
+    document: SceneDocument, store: Store, say: Callable[[str], object]
+) -> tuple[Sheet, list[dict[str, Any]]]:
+    """The sheet on the mesh that `parison.adapt` asks for, and the facts of the runs for it; says what each shows."""
+    from jaxform.io import adaptation, files, geometry
 
     runs: list[dict[str, Any]] = []
 
@@ -51,22 +69,16 @@ def adapt(arguments: argparse.Namespace) -> int:
     with files.error_context(document.file):
         first = geometry.build_sheet(adaptation.without_adaptation(document), store)
         say(f"simulating with the initial mesh of {len(first.triangles)} elements")
-        made = adaptation.adapt_sheet(document, first, store, report)
-        path = scene_rewriting.write_scene(document, {}, arguments.out, NAME)
-    output.write_json(arguments.out / SUMMARY, {"scene": document.name, "elements": len(made.triangles), "runs": runs})
-    say(f"wrote {NAME} with {len(made.triangles)} elements into {arguments.out}")
-    say(f"next:\n    jaxform simulate {shlex.quote(str(path))} --out {shlex.quote(str(arguments.out / 'formed'))}")
-    return session.DONE
+        return adaptation.adapt_sheet(document, first, store, report), runs
 
 
 def describe_run(run: dict[str, Any]) -> str:
-    """A sentence on a run before the run: elements, error, moved nodes."""
+    """A sentence on a run before the run: elements, error, moved and new nodes."""
     words = f"{run['elements']} elements: estimated error of their wall {100 * run['estimated_error']:.2g} %"
     if "nodes_moved" not in run:
         return words
-    return (
-        f"{words}; {run['nodes_moved']} nodes moved onto sharp edges, by up to {run['farthest_move']:.2g} of an element"
-    )
+    words += f"; {run['nodes_moved']} nodes moved onto sharp edges, by up to {run['farthest_move']:.2g} of an element"
+    return f"{words}; {run['nodes_added']} nodes added on sides that cut edges" if run["nodes_added"] else words
 
 
 def describe(document: SceneDocument) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxform.cli import session
+from jaxform.cli import adapt_command, session
 from jaxform.core import disk
 from jaxform.core.errors import InputError, defer_warnings, redirect_warnings
 
@@ -31,8 +31,15 @@ def simulate(arguments: argparse.Namespace) -> int:
 
         document = files.read_scene(arguments.source)
         reference = files.read_reference(document)
+        sheet, runs = None, []
+        if document.model.parison.adapt is not None:
+            sheet, runs = adapt_command.adapt_mesh(document, store, say)
         with session.report_waiting(arguments, "reading the mold and preparing its search grid"):
-            scene = files.build_unchecked(document, store)
+            scene = files.build_unchecked(document, store, sheet)
+
+        def add_runs(summary: dict[str, Any]) -> dict[str, Any]:
+            return summary | {"adaptation": runs} if runs else summary
+
         session.open_folder(arguments.out, arguments.force)
         frames = Frames(arguments.out, document.model.output.frames)
         frames.begin(scene)
@@ -40,7 +47,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         look = session.run_in_background(lambda: _warn_of_scene(scene, document, arguments.warned))
         # Warnings of the run come after those of the scene, whichever ends first.
         with defer_warnings(), look as looked:
-            result, there = _run(scene, frames, arguments, store)
+            result, there = _run(scene, frames, arguments, store, add_runs)
             history = process.process_history(scene, result)
             picture = session.picture(arguments, scene, result, reference, history, draw)
             store.record_programs(subject)
@@ -53,7 +60,7 @@ def simulate(arguments: argparse.Namespace) -> int:
             with session.report_waiting(arguments, "writing the report"):
                 session.write_report(arguments.out)
 
-        summary = session.write_part(arguments, scene, result, picture, then=write_rest, there=there)
+        summary = session.write_part(arguments, scene, result, picture, add_runs, write_rest, there=there)
     touched = "the mold" if not scene.tools else "mold and tools" if scene.mold is not None else "tools"
     _tell(say, summary, arguments.out, touched)
     return session.exit_status(result)
@@ -76,8 +83,16 @@ def _warn_of_scene(scene: Scene, document: Any, warned: list[str]) -> None:
     import scipy.spatial  # noqa: F401
 
 
-def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store) -> tuple[Result, bool]:
+def _run(
+    scene: Scene,
+    frames: Any,
+    arguments: argparse.Namespace,
+    store: Store,
+    amend: Callable[[dict[str, Any]], dict[str, Any]],
+) -> tuple[Result, bool]:
     """Runs a scene with a bar and frames where they are wanted; Ctrl-C keeps what was computed.
+
+    What is written at once has an amended summary.
 
     Returns:
         The result, and whether its files are written, except for what must be measured.
@@ -93,7 +108,7 @@ def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store)
             nonlocal there
             # A failure to write is reported at the end.
             with contextlib.suppress(OSError, InputError):
-                output.write_at_once(scene, result, arguments.out, arguments.warned)
+                output.write_at_once(scene, result, arguments.out, arguments.warned, amend)
                 there = True
             measuring.enter_context(session.report_waiting(arguments, session.COMPARING))
 

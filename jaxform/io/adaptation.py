@@ -78,7 +78,7 @@ def adapt_sheet(
             _recent.pop(next(iter(_recent)))
         _recent[key] = made
     kept = dict(_recent[key])
-    for run_before in kept.pop(_RUNS, np.zeros((0, 4)))[len(told) :]:
+    for run_before in kept.pop(_RUNS, np.zeros((0, 5)))[len(told) :]:
         tell(run_before)
     _warn_of_error(float(kept.pop(_ERROR, 0.0)), len(kept["triangles"]))
     held: Any = {name: kept.pop(name) for name in ("positions", "triangles", "clamped", "fixed")}
@@ -100,7 +100,7 @@ def _key(document: SceneDocument, sheet: Sheet) -> str:
 _ERROR = "estimated_error"
 """The name of the expected error among the arrays of an adapted sheet."""
 _RUNS, _UNMOVED = "runs", -1.0
-"""The name of what is told of runs (n, 4): elements, error, moved nodes or -1, and the farthest move [elements]."""
+"""The name of what is told of runs (n, 5): elements, error, moved nodes or -1, farthest move [elements], new nodes."""
 
 
 def _warn_of_error(error: float, elements: int) -> None:
@@ -134,12 +134,12 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, tell: Call
 
     for number in range(1, wanted.passes + 1):
         scene, result = _run_pass(document, sheet, store, number)
-        note(len(sheet.triangles), size_field.mean_error(scene, result), _UNMOVED, 0.0)
+        note(len(sheet.triangles), size_field.mean_error(scene, result), _UNMOVED, 0.0, 0)
         lines = size_field.edge_lines(scene, result)
         sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), most, lines)
         sheet = _with_fields_of(first, sheet)
-    if document.model.solver.edge_contact:
-        sheet = _with_fields_of(first, _move_to_edges(document, sheet, store, wanted.passes, note))
+    if any(edges.size for edges in scene.tables.edges):
+        sheet = _with_fields_of(first, _move_to_edges(document, sheet, store, (wanted.passes, most), note))
     expected = runs[-1][1] * float(np.sqrt(runs[-1][0] / len(sheet.triangles)))
     return {**_arrays(sheet), _RUNS: np.array(runs), _ERROR: np.array(expected)}
 
@@ -150,20 +150,32 @@ def _with_fields_of(first: Sheet, sheet: Sheet) -> Sheet:
 
 
 def _move_to_edges(
-    document: SceneDocument, sheet: Sheet, store: Store | None, passes: int, note: Callable[..., None]
+    document: SceneDocument, sheet: Sheet, store: Store | None, wanted: tuple[int, int], note: Callable[..., None]
 ) -> Sheet:
-    """The sheet with nodes beside sharp edges moved so that they land on them.
+    """The sheet with nodes beside sharp edges moved so that they land on them, and new nodes on sides that cut edges.
 
     By how much is seen in a run. The stretch beside an edge changes with the move, so another run shows what is left.
+
+    Args:
+        document: The scene.
+        sheet: The sheet.
+        store: Store for programs.
+        wanted: Number of passes before, and of elements at most.
+        note: Is told of each run.
     """
+    passes, most = wanted
     for number in range(passes + 1, passes + 1 + _FITS):
         scene, result = _run_pass(document, sheet, store, number)
         made = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result))
         moves = np.linalg.norm(made.positions - sheet.positions, axis=1) / np.sqrt(np.mean(scene.tables.sheet.area))
-        error = size_field.mean_error(scene, result)
-        note(len(sheet.triangles), error, np.count_nonzero(moves), float(moves.max()))
+        ends, share = size_field.cut_sides(scene, result)
+        changed = np.unique(sheet.triangles[(moves[sheet.triangles] > 0.0).any(1)])
+        still = ~np.isin(ends, changed).any(1)  # the others are as deep no more
+        made = mesher.divide_sides(made, ends[still], share[still], most)
+        added, error = len(made.positions) - len(sheet.positions), size_field.mean_error(scene, result)
+        note(len(sheet.triangles), error, np.count_nonzero(moves), float(moves.max()), added)
         sheet = made
-        if moves.max() <= _FITTED:
+        if moves.max() <= _FITTED and not added:
             break
     return sheet
 
@@ -171,11 +183,13 @@ def _move_to_edges(
 def _facts(run: Array) -> dict[str, Any]:
     """A run before the run, by name: its elements, and the estimated relative rms error of their wall.
 
-    Of a run after which nodes were moved onto sharp edges of tools also how many were moved, and how far at most, in
-    mean sizes of an element.
+    Of a run after which nodes were moved onto sharp edges of tools also how many were moved, how far at most, in mean
+    sizes of an element, and how many were added on sides that cut edges.
     """
     facts = {"elements": int(run[0]), "estimated_error": float(run[1])}
-    return facts if run[2] == _UNMOVED else facts | {"nodes_moved": int(run[2]), "farthest_move": float(run[3])}
+    if run[2] == _UNMOVED:
+        return facts
+    return facts | {"nodes_moved": int(run[2]), "farthest_move": float(run[3]), "nodes_added": int(run[4])}
 
 
 def _run_pass(document: SceneDocument, sheet: Sheet, store: Store | None, number: int) -> tuple[Scene, Result]:

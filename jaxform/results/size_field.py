@@ -26,6 +26,7 @@ from jaxform.mesh import topology
 from jaxform.mesh.volumes import longest_sides
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
+from jaxform.results.summary import measure_cuts
 from jaxform.tools.distances import Distances, interpolate, nearest_places, signed_weights, weights
 from jaxform.tools.mold import Mold
 
@@ -275,3 +276,27 @@ def _nearest_on_edges(
         chosen = own[nearer]
         places[chosen], nearest[chosen], least[chosen] = place[nearer], number, away[nearer]
     return places, nearest
+
+
+# Sides of elements that cut edges of the mold, at which new nodes are to be.
+
+_CUT, _CUT_OF_WALL = 0.05, 0.5  # of the first thickness, and of the wall: elements that cut deeper get a node there
+_MIDDLE = 0.3  # of a side, the least share of it on either side of a new node
+
+
+def cut_sides(scene: Scene, result: Result) -> tuple[NDArray[np.int64], Array]:
+    """The sides nearest to the deepest places of elements that cut the mold too deep, the deepest first.
+
+    An element cuts an edge the deepest at one of its sides.
+
+    Returns:
+        The ends (k, 2) of the sides, and the shares (k,) of the second end at the places.
+    """
+    depth, corner_share = measure_cuts(result, scene)
+    first = np.asarray(scene.parison.thickness, float)[np.asarray(scene.parison.triangles)].mean(1)
+    depth = depth / np.minimum(_CUT * first, _CUT_OF_WALL * np.asarray(result.element_thickness, float))
+    order = np.argsort(-depth, kind="stable")[: np.count_nonzero(depth > 1.0)]
+    corner = (np.argmin(corner_share[order], axis=1)[:, None] + np.array([1, 2])) % 3
+    one, other = np.take_along_axis(corner_share[order], corner, axis=1).T
+    ends = np.take_along_axis(np.asarray(scene.parison.triangles, np.int64)[order], corner, axis=1)
+    return ends, np.clip(other / (one + other), _MIDDLE, 1.0 - _MIDDLE)

@@ -78,9 +78,9 @@ def penetration(
     triangles: Integers,
     wall: Integers,
     mold: Mold,
+    resting: Array | None = None,
     *,
     grid: SearchGrid | None = None,
-    resting: Array | None = None,
     pull: Array | None = None,
 ) -> Penetration:
     """Measures the penetration of the mold by a sheet.
@@ -90,22 +90,21 @@ def penetration(
         triangles: Their elements (n_element, 3).
         wall: Triangle in contact with each node (n_node,), see `Result.wall`.
         mold: The mold.
-        grid: The mold's search structure; made here by default.
         resting: Unit directions (n_node, 3) against the pressure's push, of nodes that are where they began; 0 of the
             others. Where they are in contact, that is the side on which they are, whatever `wall` says.
+        grid: The mold's search structure; made here by default.
         pull: Unit vector (3,) in which the part is pulled off the mold; None without such a direction.
     """
-    mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
-    size = float(np.ptp(mold_corners, axis=(0, 1)).max())
+    resting = np.zeros_like(positions) if resting is None else resting
     if grid is None:
         grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
-    resting = np.zeros_like(positions) if resting is None else resting
     rests = resting.any(1)
     in_contact = (wall != 0) & ~rests
+    mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    size = float(np.ptp(mold_corners, axis=(0, 1)).max())
     lift, below = _lift(positions, wall, in_contact, mold_corners, size)
     lifted = positions + lift + _RESTING_LIFT * size * resting
-    measured = _limit_elements(lifted[triangles], mold_corners, float(grid.reach))
-    ways = Ways(triangles[measured], lifted[triangles[measured]], mold_corners, grid)
+    ways, measured = _find_ways(lifted, triangles, mold_corners, grid)
     unmeasured = len(triangles) - len(measured)
     if not len(ways.element):
         return Penetration(below, 0.0, np.zeros(3), unmeasured)
@@ -119,6 +118,46 @@ def penetration(
     away = resting + lift / (_LIFT * size)
     ribs = find_ribs(lifted, away, in_contact | rests, ways, mold_corners, grid, pull)
     return Penetration(max(deepest, below), *deepest_element, unmeasured, ribs)
+
+
+def _find_ways(
+    lifted: Array, triangles: Integers, mold_corners: Array, grid: SearchGrid
+) -> tuple[Ways, NDArray[np.int64]]:
+    """Paths inside elements with lifted nodes (n_node, 3) [m] that the mold cuts, and those that are compared (k,)."""
+    measured = _limit_elements(lifted[triangles], mold_corners, float(grid.reach))
+    return Ways(triangles[measured], lifted[triangles[measured]], mold_corners, grid), measured
+
+
+def element_depths(
+    positions: Array, triangles: Integers, wall: Integers, mold: Mold, resting: Array, *, grid: SearchGrid | None = None
+) -> tuple[Array, Array]:
+    """Depths of all elements in the mold, by the arguments of `penetration`.
+
+    Returns:
+        Depths (n_element,) [m], and the shares (n_element, 3) of their corners at the deepest places.
+    """
+    if grid is None:
+        grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
+    rests = resting.any(1)
+    in_contact = (wall != 0) & ~rests
+    mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    size = float(np.ptp(mold_corners, axis=(0, 1)).max())
+    lift, _ = _lift(positions, wall, in_contact, mold_corners, size)
+    ways, measured = _find_ways(positions + lift + _RESTING_LIFT * size * resting, triangles, mold_corners, grid)
+    depth, share = np.zeros(len(triangles)), np.full((len(triangles), 3), 1.0 / 3.0)
+    if not len(ways.element):
+        return depth, share
+    trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
+    side = np.where(penetrating_nodes(triangles, ways, in_contact, trust), -trust, trust)
+    shares = _lattice(_DIVISIONS)
+    row, point = np.nonzero(_points_beyond_mold(ways, np.arange(len(ways.element)), shares, side))
+    element = measured[ways.element[row]]
+    corners = positions[triangles]
+    distances = Distances(mold.vertices, mold.triangles, float(longest_sides(corners).max()))
+    own = distances.exact(np.einsum("pc,pck->pk", shares[point], corners[element]))
+    order = np.argsort(own, kind="stable")
+    depth[element[order]], share[element[order]] = own[order], shares[point[order]]
+    return depth, share
 
 
 def _limit_elements(corners: Array, mold_corners: Array, reach: float) -> NDArray[np.int64]:

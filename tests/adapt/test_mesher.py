@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -187,3 +188,39 @@ def test_too_few_elements_are_refused() -> None:
     star = shapes.outline(polygon=points, elements=600)
     with pytest.raises(InputError, match=r"too few elements for this sheet: its boundary needs .* allow more"):
         mesher.remesh(star, np.ones(len(star.positions)), 20)
+
+
+def test_sides_are_divided_as_far_as_there_may_be_so_many_elements_and_none_are_low() -> None:
+    sheet = shapes.rectangle(size=[0.4, 0.4], elements=100, symmetry="quarter")
+    ends, count = topology.edges(sheet.triangles)
+    rim, middle = sheet.clamped[ends].all(1), sheet.positions[ends].mean(1)
+    # A side in a plane of symmetry, a clamped one, and two inside.
+    plane = np.flatnonzero((count == 1) & ~rim)[0]
+    inside = [int(np.linalg.norm(middle - place, axis=1).argmin()) for place in ((0.1, 0.1, 0.0), (0.1, 0.03, 0.0))]
+    chosen = ends[[plane, np.flatnonzero(rim)[0], *inside]]
+    share = np.array([0.3, 0.5, 0.5, 0.7])
+    whole = mesher.divide_sides(sheet, chosen, share, 10_000)
+    assert len(whole.triangles) == len(sheet.triangles)  # a part would be less than twice as high as the lowest
+    sheet = _with_a_low_triangle(sheet)
+    made = mesher.divide_sides(sheet, chosen, share, 10_000)
+    assert len(made.triangles) == len(sheet.triangles) + 1 + 2 + 2
+    new = made.positions[len(sheet.positions) :]
+    one, other = sheet.positions[chosen[[0, 2, 3]]].transpose(1, 0, 2)
+    np.testing.assert_allclose(new, one + share[[0, 2, 3], None] * (other - one))
+    assert made.fixed[len(sheet.positions) :].any(1).tolist() == [True, False, False]
+    assert not made.clamped[len(sheet.positions) :].any()
+    total = areas(made.positions, made.triangles).sum()
+    np.testing.assert_allclose(total, areas(sheet.positions, sheet.triangles).sum())
+    few = mesher.divide_sides(sheet, chosen, share, len(sheet.triangles) + 3)
+    assert len(few.triangles) == len(sheet.triangles) + 1 + 2
+
+
+def _with_a_low_triangle(sheet: Sheet) -> Sheet:
+    """The sheet with the inner node farthest from both planes of symmetry close to an opposite side."""
+    free = np.flatnonzero(~sheet.clamped)
+    node = free[sheet.positions[free].sum(1).argmax()]
+    triangle = sheet.triangles[(sheet.triangles == node).any(1)][0]
+    one, other = sheet.positions[triangle[triangle != node]]
+    positions = sheet.positions.copy()
+    positions[node] += 0.9 * (0.5 * (one + other) - positions[node])
+    return replace(sheet, positions=positions)

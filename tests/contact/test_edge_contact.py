@@ -22,7 +22,7 @@ from jaxform.io import adaptation
 from jaxform.mechanics.membrane import vector
 from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.topology import HOLDING_FACETS, SHARPEST_FACETS, sharp_edges
-from jaxform.results import size_field
+from jaxform.results import size_field, summary
 from jaxform.tools.surface_walk import ContactSurface
 from tests import scenes
 
@@ -369,13 +369,28 @@ def test_nodes_beside_a_ridge_are_moved_and_every_element_has_the_exact_wall(mon
 
     monkeypatch.setattr(adaptation, "_run_pass", run)
     document: Any = None
-    sheet = adaptation._move_to_edges(document, sheet, None, 1, lambda *run: told.append(run))
+    sheet = adaptation._move_to_edges(document, sheet, None, (1, 40), lambda *run: told.append(run))
     np.testing.assert_allclose(np.sort(np.abs(sheet.positions[:, 0] - RIDGE))[:2], 0.0, atol=1e-5)
     assert worst[0] > 0.05  # the elements over the ridge are held in their middle
     assert worst[1] < 0.01
-    elements, _, moved, farthest = np.array(told).T
-    assert elements.tolist() == [32, 32] and moved[0] == 2
+    elements, _, moved, farthest, added = np.array(told).T
+    assert elements.tolist() == [32, 32] and moved[0] == 2 and not added.any()
     assert farthest[0] > 0.2 > 0.02 > farthest[1]
+
+
+def test_sides_of_elements_that_cut_a_rib_are_found_with_the_deepest_place() -> None:
+    scene = over_rib(16)
+    result = jaxform.run(scene)
+    assert not len(size_field.cut_sides(scene, result)[0])  # the sides are held at its edges
+    formed = np.asarray(result.positions) + np.array([0.0, 0.0, 5e-4])
+    lower = dataclasses.replace(result, positions=jnp.asarray(formed))
+    ends, share = size_field.cut_sides(scene, lower)
+    places = formed[ends[:, 0]] + share[:, None] * (formed[ends[:, 1]] - formed[ends[:, 0]])
+    assert len(ends) == 2
+    assert (places[:, 0] > RIB[0]).all() and (places[:, 0] < RIB[1]).all()
+    depth, _ = summary.measure_cuts(lower, scene)
+    np.testing.assert_allclose(np.sort(depth)[-2:], 5e-4, rtol=0.1)
+    np.testing.assert_allclose(depth.max(), summary.measure_penetration(lower, scene).elements)
 
 
 def test_a_node_before_an_edge_is_moved_though_an_element_beyond_it_passes_the_edge_closely() -> None:

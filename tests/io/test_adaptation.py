@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -95,7 +96,13 @@ def test_the_command_writes_a_scene_that_is_more_accurate(tmp_path: Path, capsys
 def test_the_command_tells_of_each_run_also_of_a_mesh_that_is_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    runs = np.array([[60.0, 0.12, -1.0, 0.0], [80.0, 0.03, 7.0, 0.25]])
+    runs = np.array([[60.0, 0.12, -1.0, 0.0, 0.0], [80.0, 0.03, 7.0, 0.25, 2.0], [84.0, 0.03, 0.0, 0.0, 0.0]])
+
+    facts = [
+        {"elements": 60, "estimated_error": 0.12},
+        {"elements": 80, "estimated_error": 0.03, "nodes_moved": 7, "farthest_move": 0.25, "nodes_added": 2},
+        {"elements": 84, "estimated_error": 0.03, "nodes_moved": 0, "farthest_move": 0.0, "nodes_added": 0},
+    ]
 
     def make(document: object, sheet: Sheet, store: object, tell: Callable[[np.ndarray], None]) -> Arrays:
         for run in runs:
@@ -109,11 +116,37 @@ def test_the_command_tells_of_each_run_also_of_a_mesh_that_is_kept(
         told = capsys.readouterr().out
         assert told.startswith("simulating with the initial mesh of ")
         assert "run 1 with 60 elements: estimated error of their wall 12 %\n" in told
-        assert "error of their wall 3 %; 7 nodes moved onto sharp edges, by up to 0.25 of an element\n" in told
-        assert json.loads((out / "summary.json").read_text())["runs"] == [
-            {"elements": 60, "estimated_error": 0.12},
-            {"elements": 80, "estimated_error": 0.03, "nodes_moved": 7, "farthest_move": 0.25},
-        ]
+        words = "error of their wall 3 %; 7 nodes moved onto sharp edges, by up to 0.25 of an element"
+        assert f"{words}; 2 nodes added on sides that cut edges\n" in told
+        assert json.loads((out / "summary.json").read_text())["runs"] == facts
+    # So does a run of a scene which asks for such a mesh.
+    path = _write(tmp_path, "adapt = { elements = 100 }", elements=60)
+    for _ in range(2):
+        assert main(["simulate", str(path), "--out", str(out), "--force"]) == 0
+        assert "run 2 with 80 elements: " in capsys.readouterr().out
+        assert json.loads((out / "summary.json").read_text())["adaptation"] == facts
+
+
+@pytest.mark.parametrize(("edges", "moves"), [(0, 0), (3, 1)])
+def test_nodes_are_moved_where_tools_have_edges(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, edges: int, moves: int
+) -> None:
+    scene, moved = SimpleNamespace(tables=SimpleNamespace(edges=(np.zeros((4, edges)),))), list[Sheet]()
+
+    def move(document: object, sheet: Sheet, *_: object) -> Sheet:
+        moved.append(sheet)
+        return sheet
+
+    monkeypatch.setattr(adaptation, "_move_to_edges", move)
+    monkeypatch.setattr(adaptation, "_run_pass", lambda *_: (scene, None))
+    monkeypatch.setattr(adaptation.mesher, "remesh", lambda sheet, *_: sheet)
+    for name, value in {"mean_error": 0.1, "edge_lines": [], "wanted_sizes": None}.items():
+        monkeypatch.setattr(adaptation.size_field, name, lambda *_, value=value: value)
+    path = _write(tmp_path, "adapt = { passes = 2 }", elements=60, rest="edge_contact = true\n")
+    document, told = files.read_scene(path), list[np.ndarray]()
+    first = geometry.build_sheet(adaptation.without_adaptation(document))
+    adaptation._make(document, first, None, told.append)
+    assert len(told) == 2 and len(moved) == moves
 
 
 def test_a_best_design_keeps_the_mesh_that_it_was_found_on(tmp_path: Path) -> None:

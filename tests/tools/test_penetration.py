@@ -13,7 +13,7 @@ from jaxform import molds, shapes
 from jaxform.tools.crossings import near_pairs
 from jaxform.tools.distances import point_triangle_distance
 from jaxform.tools.mold import Mold
-from jaxform.tools.penetration import _lattice, penetration, resting_directions
+from jaxform.tools.penetration import _lattice, element_depths, penetration, resting_directions
 from jaxform.tools.search import SearchGrid, build_grid
 
 CLOSED = {
@@ -98,6 +98,12 @@ def test_depth_on_closed_molds_is_that_of_winding_numbers(name: str, cells: int)
     assert depth > 1e-3
     np.testing.assert_allclose(found.elements, depth, atol=1e-5)
     np.testing.assert_allclose(_distance(found.place[None], corners), found.elements, rtol=1e-9)
+    each, share = element_depths(nodes, triangles, wall, _mold(corners), np.zeros_like(nodes))
+    np.testing.assert_allclose(each.max(), found.elements, rtol=1e-9)
+    cut = each > 1e-9
+    deepest = np.einsum("ec,eck->ek", share, nodes[triangles])[cut]
+    assert (_winding(deepest, corners) > 0.5).all()
+    np.testing.assert_allclose(_distance(deepest, corners), each[cut], rtol=1e-9)
     assert _winding(found.place[None], corners) > 0.5
 
 
