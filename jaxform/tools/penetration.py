@@ -98,16 +98,13 @@ def penetration(
     resting = np.zeros_like(positions) if resting is None else resting
     if grid is None:
         grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
-    rests = resting.any(1)
-    in_contact = (wall != 0) & ~rests
     mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
-    size = float(np.ptp(mold_corners, axis=(0, 1)).max())
-    lift, below = _lift(positions, wall, in_contact, mold_corners, size)
-    lifted = positions + lift + _RESTING_LIFT * size * resting
+    lifted, away, below, in_contact = _lift_nodes(positions, wall, mold_corners, resting)
     ways, measured = _find_ways(lifted, triangles, mold_corners, grid)
     unmeasured = len(triangles) - len(measured)
     if not len(ways.element):
         return Penetration(below, 0.0, np.zeros(3), unmeasured)
+    rests = resting.any(1)
     trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
     beyond = penetrating_nodes(triangles, ways, in_contact, trust)
     corners = positions[triangles]
@@ -115,8 +112,7 @@ def penetration(
     distances = Distances(mold.vertices, mold.triangles, farthest)
     deepest, _ = distances.largest(positions[beyond & ~rests])
     deepest_element = _deepest(corners[measured[ways.element]], ways, np.where(beyond, -trust, trust), distances)
-    away = resting + lift / (_LIFT * size)
-    ribs = find_ribs(lifted, away, in_contact | rests, ways, mold_corners, grid, pull)
+    ribs = find_ribs(lifted, resting + away, in_contact | rests, ways, mold_corners, grid, pull)
     return Penetration(max(deepest, below), *deepest_element, unmeasured, ribs)
 
 
@@ -138,16 +134,13 @@ def element_depths(
     """
     if grid is None:
         grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
-    rests = resting.any(1)
-    in_contact = (wall != 0) & ~rests
     mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
-    size = float(np.ptp(mold_corners, axis=(0, 1)).max())
-    lift, _ = _lift(positions, wall, in_contact, mold_corners, size)
-    ways, measured = _find_ways(positions + lift + _RESTING_LIFT * size * resting, triangles, mold_corners, grid)
+    lifted, _, _, in_contact = _lift_nodes(positions, wall, mold_corners, resting)
+    ways, measured = _find_ways(lifted, triangles, mold_corners, grid)
     depth, share = np.zeros(len(triangles)), np.full((len(triangles), 3), 1.0 / 3.0)
     if not len(ways.element):
         return depth, share
-    trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
+    trust = np.where(resting.any(1), _TRUST_IN_RESTING, 1.0)
     side = np.where(penetrating_nodes(triangles, ways, in_contact, trust), -trust, trust)
     shares = _lattice(_DIVISIONS)
     row, point = np.nonzero(_points_beyond_mold(ways, np.arange(len(ways.element)), shares, side))
@@ -204,6 +197,19 @@ def pull_direction(start: Array, triangles: Integers, pressure: float) -> Array 
     total = -np.sign(pressure) * normal.sum(0)
     length = float(np.linalg.norm(total))
     return total / length if length > _FACING * np.linalg.norm(normal, axis=1).sum() else None
+
+
+def _lift_nodes(
+    positions: Array, wall: Integers, mold_corners: Array, resting: Array
+) -> tuple[Array, Array, float, NDArray[np.bool_]]:
+    """Nodes (n_node, 3) [m] lifted off the mold, directions from it, their depth below its planes [m], and the mask.
+
+    Directions (n_node, 3) are those of nodes in contact, which are masked, without the ones that rest.
+    """
+    size = float(np.ptp(mold_corners, axis=(0, 1)).max())
+    in_contact = (wall != 0) & ~resting.any(1)
+    lift, below = _lift(positions, wall, in_contact, mold_corners, size)
+    return positions + lift + _RESTING_LIFT * size * resting, lift / (_LIFT * size), below, in_contact
 
 
 def _lift(
