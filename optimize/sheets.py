@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import interpolate, optimize
+from scipy import interpolate, optimize, sparse
 
 from jaxform import InputError, Profile, Scene
 from jaxform.extend import extend_values, symmetry_planes
@@ -28,6 +28,7 @@ _CONTROLS_PER_LENGTH = 2.0  # a field's numbers stand half a smoothness apart
 _MOST_CONTROLS = 2000
 _MOST_EASE = 4.0
 _ON_BOUND = 1e-4  # of the way between the bounds
+_HOLD = 1e-6  # weight by which numbers are held to the mean
 
 
 class _SheetMap:
@@ -62,21 +63,35 @@ class _SheetMap:
     def nearest(self, thickness: Array) -> Array:
         """The search's numbers that come closest to a nodal thickness (n_node,) [m], by least squares."""
         weights, mean = np.asarray(self._weights), float(np.mean(thickness))
-        # Towards the mean, hardly: a number that no node feels has no best value.
-        hold = 1e-6 * np.eye(weights.shape[1])
-        rows = np.concatenate([weights, hold])
-        wanted = np.concatenate([thickness / mean, np.full(len(hold), 1e-6)])
-        # The plain solution first: where the bounds do not matter it is exact, and quick.
-        values = np.linalg.lstsq(rows, wanted, rcond=None)[0]
         low, high = self.bounds[0] / mean, self.bounds[1] / mean
-        if np.any((values < low) | (values > high)):
-            values = optimize.lsq_linear(rows, wanted, (low, high)).x
+        values = _least_squares(weights, thickness / mean, (low, high))
         # Both end a little inside of bounds that the sheet lies on.
         values = np.where(values - low < _ON_BOUND * (high - low), low, values)
         values = np.where(high - values < _ON_BOUND * (high - low), high, values)
         if self._change is None:
             return invert_log_bounds(mean * values, self.bounds) / self._ease
         return invert_step_limit(mean * values, self.bounds, self._change) / self._ease
+
+
+def _least_squares(weights: Array, wanted: Array, bounds: Bounds) -> Array:
+    """Numbers (n,) within bounds whose weighted sums (n_node, n) come closest to values (n_node,) about 1.
+
+    They are held to 1, hardly: a number that no node feels has no best value.
+    """
+    count = weights.shape[1]
+    target = np.append(wanted, np.full(count, _HOLD))
+    wide = count > len(weights)
+    if wide:  # not in the time of the number of numbers cubed
+        rows: Any = sparse.vstack([sparse.csr_matrix(weights), _HOLD * sparse.eye(count)])
+        left, size, right = np.linalg.svd(weights, full_matrices=False)
+        values = 1.0 + right.T @ (size / (size**2 + _HOLD**2) * (left.T @ (wanted - weights.sum(1))))
+    else:
+        rows = np.concatenate([weights, _HOLD * np.eye(count)])
+        values = np.linalg.lstsq(rows, target, rcond=None)[0]
+    # That is exact and quick, where the bounds do not matter.
+    if np.all((values >= bounds[0]) & (values <= bounds[1])):
+        return values
+    return optimize.lsq_linear(rows, target, bounds, lsq_solver="lsmr" if wide else None).x
 
 
 def _ease(scene: Scene, weights: Array) -> Array:

@@ -88,6 +88,22 @@ def test_a_cubic_profile_stays_in_bounds_and_slopes_and_is_smooth() -> None:
         assert np.abs(np.diff(values[order])[wide] / gaps[wide]).max() <= 0.02 + 1e-9
 
 
+@pytest.mark.parametrize("bounds", [BOUNDS, (0.009, 0.011)])
+def test_more_knots_than_nodes_do_not_take_the_time_of_their_number_cubed(
+    monkeypatch: pytest.MonkeyPatch, bounds: tuple[float, float]
+) -> None:
+    def dense(rows: np.ndarray, *_: Any, **__: Any) -> None:
+        raise AssertionError(f"{rows.shape} is solved as a dense matrix")
+
+    scene = scenes.cup()
+    place = np.linalg.norm(np.asarray(scene.parison.positions)[:, :2], axis=1)
+    wanted = 0.01 * (1.0 + 0.2 * np.sin(3.0 * place))
+    monkeypatch.setattr(np.linalg, "lstsq", dense)
+    variable = optimize.ThicknessProfile(scene, along="radius", bounds=bounds, knots=300)
+    found = _thickness(variable, variable.nearest(wanted))
+    np.testing.assert_allclose(found, np.clip(wanted, *bounds), rtol=1e-3 if bounds == BOUNDS else 0.02)
+
+
 def test_zones_are_of_one_thickness_each() -> None:
     scene = scenes.cup()
     variable = optimize.ThicknessProfile(
