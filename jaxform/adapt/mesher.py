@@ -65,7 +65,8 @@ def remesh(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array] = ()
     Args:
         sheet: The sheet.
         size: Lengths of the edges at its nodes (n_node,) [m], up to a common factor.
-        elements: Largest number of triangles of the new mesh; it has at least nine tenths of that.
+        elements: Largest number of triangles of the new mesh; it has at least nine tenths of that, unless the number
+            jumps over these, as it can for a sheet of many equal parts.
         lines: Lines (k, 3) [m] on the sheet that are to be edges of the new mesh; left out where it cannot have them.
 
     Returns:
@@ -85,6 +86,7 @@ def remesh(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array] = ()
 def _search_count(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array]) -> Sheet:
     """The sheet on a mesh with at most so many elements, and nearly as many, by sizes up to a common factor."""
     best: Sheet | None = None
+    factor, few, many = 1.0, np.inf, 0.0  # of the sizes: the present one, and those with few enough and too many
     for _ in range(_ROUNDS):
         made = _remesh_once(*_insert_points(sheet, size, lines)) if lines else _remesh_once(sheet, size)
         count = len(made.triangles)
@@ -92,7 +94,12 @@ def _search_count(sheet: Sheet, size: Array, elements: int, lines: Sequence[Arra
             best = made
         if _SHORT_OF * elements <= count <= elements:
             break
-        size = size * np.sqrt(count / (0.975 * elements))
+        few, many = (min(few, factor), many) if count <= elements else (few, max(many, factor))
+        ratio = np.sqrt(count / (0.975 * elements))
+        if few < np.inf and many > 0.0 and not many < factor * ratio < few:
+            # The number jumps there: on the way back it would only be found again.
+            ratio = np.sqrt(few * many) / factor
+        size, factor = size * ratio, factor * ratio
     if best is None:
         problem = f"is too few elements for this sheet: its boundary needs {len(made.triangles)}"
         raise InputError(problem, "allow more elements", "parison.adapt.elements", elements)

@@ -224,3 +224,15 @@ def _with_a_low_triangle(sheet: Sheet) -> Sheet:
     positions = sheet.positions.copy()
     positions[node] += 0.9 * (0.5 * (one + other) - positions[node])
     return replace(sheet, positions=positions)
+
+
+def test_a_number_of_elements_between_two_sizes_at_which_it_jumps_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    sheet = shapes.disc(radius=1.0, elements=300, symmetry="quarter")
+
+    def jump(sheet: Sheet, size: np.ndarray) -> Sheet:
+        count = 352 if size[0] < 1.0 else 290 if size[0] < 1.02 else 242
+        return replace(sheet, triangles=np.zeros((count, 3), np.int32))
+
+    monkeypatch.setattr(mesher, "_remesh_once", jump)
+    for start in (0.95, 1.0, 1.1):
+        assert len(mesher._search_count(sheet, np.full(len(sheet.positions), start), 300, ()).triangles) == 290
