@@ -176,6 +176,13 @@ FAULTS = [
     Fault("sweeps", "jaxform/sweeps/designs.py", "int(share * (most - least + 1))", "int(share * (most - least))"),
     Fault("sweeps", "jaxform/sweeps/designs.py", "low * (high / low) ** share", "low + (high - low) * share"),
     Fault("balance", "jaxform/sheet/energy_balance.py", "way)) / 12.0", "way)) / 6.0"),
+    Fault("balance", "jaxform/contact/sticking.py", "(beta - 0.5) * dot(impulse", "(0.5 - beta) * dot(impulse"),
+    Fault(
+        "balance",
+        "jaxform/sheet/scheme.py",
+        "if not conserves_energy(scene):\n        return 1.0",
+        "if False:\n        return 1.0",
+    ),
     Fault(
         "balance", "jaxform/sheet/energy_balance.py", "0.5 * jnp.sum(mass * membrane.dot", "jnp.sum(mass * membrane.dot"
     ),

@@ -330,12 +330,17 @@ def _energy_of(state: State, scene: Scene, first: Discretization, now: Discretiz
     account = state.account
     none = dict.fromkeys(("viscous_loss", "cooling_loss", "friction_loss"), jnp.zeros_like(state.time))
     kinetic, damped = _kinetic_energy(state, scene, now)
-    # Damping takes the energy of fast modes that the steps do not resolve; without damping the modes keep it.
-    if scene.solver.damping is None:
-        kinetic += _or_zero(account.unresolved)
+    # Damping and viscosity take the energy of fast modes that the steps do not resolve; else the modes keep it.
+    losses, unresolved = (
+        account.losses() | {"damping_loss": account.damping_loss + damped},
+        _or_zero(account.unresolved),
+    )
+    if scene.solver.damping is not None:
+        losses["damping_loss"] += unresolved
+    elif account.viscous_loss is not None:
+        losses["viscous_loss"] = account.viscous_loss + unresolved
     else:
-        damped += _or_zero(account.unresolved)
-    losses = account.losses() | {"damping_loss": account.damping_loss + damped}
+        kinetic += unresolved
     return Energy(
         strain=strain_energy(state, scene, now),
         kinetic=kinetic,

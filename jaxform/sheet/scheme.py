@@ -133,14 +133,12 @@ def unresolved_factor(velocity_step: jax.Array, length: jax.Array, scene: Scene)
 def unresolved_share(scene: Scene) -> float | None:
     """Share of the energy by `unresolved_energy` that the kinetic energy misses; None where it is not counted.
 
-    It is counted where damping takes it in the end, and where motion begins anew as a clamp opens or new nodes are
-    inserted. An undamped sheet misses a third of it, see `present_energies`.
+    A sheet with which nothing exchanges energy misses a third of it, since `present_energies` has the rest; that counts
+    where motion begins anew as a clamp opens or new nodes are inserted.
     """
-    if scene.solver.damping is not None:
+    if not conserves_energy(scene):
         return 1.0
-    if not begins_anew(scene):
-        return None
-    return 1.0 / 3.0 if conserves_energy(scene) else 1.0
+    return 1.0 / 3.0 if begins_anew(scene) else None
 
 
 def begins_anew(scene: Scene) -> bool:
