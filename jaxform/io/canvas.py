@@ -216,6 +216,7 @@ _CUT_OFF = 0.82  # grey of what is formed with the part, but cut off it
 _LIGHT = np.array([0.35, -0.5, 0.79])
 _FINER, _MANY = 2, 150_000  # pixels of the surfaces along one of the picture; triangles from which it is one
 _TALL, _FITS = 0.8, 4  # times as high as wide, a view is measured before it is drawn, so often at most
+_BESIDE = 10.0  # points from the axis of a tall view to its label, beside the ticks; 4 otherwise
 _LINE, _LINED = 0.7, 5.0  # pixels: half an element's edge, and how high an element is whose edges are drawn
 
 
@@ -304,8 +305,10 @@ def _draw_surfaces(axes: Any, surfaces: list[DrawnSurface], hangs: bool, turned:
     axes.locator_params(nbins=4)
     axes.set_xlabel("x [mm]", fontsize=9)
     axes.set_ylabel("y [mm]", fontsize=9)
-    axes.set_zlabel("z [mm]", fontsize=9)
-    if size[2] > _TALL * size[:2].max():
+    tall = size[2] > _TALL * size[:2].max()
+    # The ticks of a tall view are beside the middle of the axis, where the label is.
+    axes.set_zlabel("z [mm]", fontsize=9, labelpad=_BESIDE if tall else None)
+    if tall:
         _fit(axes, size)
 
 
