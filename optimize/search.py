@@ -20,7 +20,6 @@ import numpy as np
 import jaxform
 from jaxform import Result, Scene
 from jaxform.extend import compile_function, mask_part
-from optimize import progress_messages
 from optimize.designs import COLUMNS, Point, Study
 from optimize.gradients import gradient_error, slope_within
 from optimize.journal import Answer, Journal
@@ -175,7 +174,7 @@ class Search:
     def _program(self, name: str, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
         """Compiled ahead, so that the cost of the first evaluation is that of a simulation."""
         if name not in self.programs:
-            if self.on_wait is not None and (words := progress_messages.waiting_message(name, self.study.scene)):
+            if self.on_wait is not None and (words := _waiting_message(name, self.study.scene)):
                 self.on_wait(words)
             self.programs[name] = compile_function(jax.jit(function), *arguments)
             self._clock = time.process_time()
@@ -387,6 +386,19 @@ class Search:
     def _capacity(self) -> int:
         refinement = self.study.scene.refinement
         return 0 if refinement is None else refinement.elements
+
+
+# Programs that take long to compile, and for how long [s], with a uniform and a refined mesh, on two cores.
+_PROGRAMS = {"gradient": "value and gradient", "columns": "the Jacobian of the deviations"}
+_SECONDS = (20, 40)
+
+
+def _waiting_message(program: str, scene: Scene) -> str | None:
+    """Message before a program of the search is compiled; None where that takes little time."""
+    if program not in _PROGRAMS:
+        return None
+    seconds = _SECONDS[scene.refinement is not None]
+    return f"compiling {_PROGRAMS[program]}, about {seconds} s unless it was compiled before"
 
 
 def _plain(report: dict[str, jax.Array]) -> Answer:

@@ -332,11 +332,8 @@ def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
     still = sheet.clamped.copy()
     still[rim] |= ~sheet.fixed[rim].any(1)
     places = np.where(still[:, None] | sheet.fixed, sheet.positions, places)
+    places = to_surface(sheet, places)
     wanted = np.flatnonzero((places != sheet.positions).any(1))
-    if len(wanted) and np.ptp(sheet.positions[:, 2]) > 0.0:
-        places[wanted] = _Old(sheet).nearest(places[wanted])
-        places[wanted] = _snap(sheet, places[wanted], np.repeat(places[wanted][:, None], 2, axis=1), rim=False)
-        places = np.where(sheet.fixed, sheet.positions, places)
     normal = topology.doubled_normals(sheet.positions, sheet.triangles)
     square, points = np.sum(normal * normal, axis=1), sheet.positions.copy()
     around = _triangles_of_nodes(sheet.triangles, len(points))
@@ -349,6 +346,17 @@ def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
     there = (points == places).all(1)
     triangles = _join_nodes(points, np.asarray(sheet.triangles, np.int64), pairs[there[pairs].all(1)], _LEFT)
     return replace(sheet, positions=points, triangles=triangles.astype(np.int32), fields=carry_fields(sheet, points))
+
+
+def to_surface(sheet: Sheet, places: Array) -> Array:
+    """Places (n_node, 3) [m] of a sheet's nodes, on its true surface and in its symmetry planes."""
+    moved = (places != sheet.positions).any(1)
+    if not moved.any() or np.ptp(sheet.positions[:, 2]) == 0.0:
+        return places
+    on_old = _Old(sheet).nearest(places[moved])
+    on_surface = places.copy()
+    on_surface[moved] = _snap(sheet, on_old, np.repeat(on_old[:, None], 2, axis=1), rim=False)
+    return np.where(sheet.fixed, sheet.positions, on_surface)
 
 
 _HIGHER = 2.0  # times as high as the lowest triangle is each part of a divided one, which may be stretched more

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.adapt import mesher
+from jaxform.adapt import mesher, smoothing
 from jaxform.core.errors import InputError, InputWarning, redirect_warnings, warn_of
 from jaxform.core.store import Arrays, Store
 from jaxform.io import files, scene_rewriting
@@ -135,8 +135,11 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, tell: Call
     for number in range(1, wanted.passes + 1):
         scene, result = _run_pass(document, sheet, store, number)
         note(len(sheet.triangles), size_field.mean_error(scene, result), _UNMOVED, 0.0, 0)
-        lines = size_field.edge_lines(scene, result)
-        sheet = mesher.remesh(sheet, size_field.wanted_sizes(scene, result), most, lines)
+        lines, before = size_field.edge_lines(scene, result), sheet
+        sheet = mesher.remesh(before, size_field.wanted_sizes(scene, result), most, lines)
+        if number == wanted.passes:
+            # Only the last mesh: the sizes of the next are found from elements in any direction.
+            sheet = smoothing.smooth(sheet, before, np.asarray(result.positions, float))
         sheet = _with_fields_of(first, sheet)
     if any(edges.size for edges in scene.tables.edges):
         sheet = _with_fields_of(first, _move_to_edges(document, sheet, store, (wanted.passes, most), note))

@@ -15,7 +15,7 @@ from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
 from jaxform.mesh import topology
 from jaxform.mesh.meshes import mirror_image
-from jaxform.mesh.rows import distinct_rows
+from jaxform.mesh.topology import distinct_rows
 from jaxform.model.scene import ContactSurface, Scene, enclosed_volumes
 from jaxform.results.sections import FLAT, symmetry_planes
 from jaxform.tools.crossings import nodal_normals, proper_crossings

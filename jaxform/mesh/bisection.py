@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import topology
-from jaxform.mesh.rows import positions_in_rows
+from jaxform.mesh.topology import positions_in_rows
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int32]

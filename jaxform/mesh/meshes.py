@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import topology
-from jaxform.mesh.rows import distinct_rows
+from jaxform.mesh.topology import distinct_rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

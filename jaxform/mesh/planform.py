@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh import outlines, topology
 from jaxform.mesh.bisection import Snap
-from jaxform.mesh.rows import positions_in_rows
+from jaxform.mesh.topology import positions_in_rows
 from jaxform.mesh.volumes import longest_sides
 
 Array = NDArray[np.float64]

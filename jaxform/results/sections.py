@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxform.mesh.rows import distinct_rows
+from jaxform.mesh.topology import distinct_rows
 from jaxform.model.scene import Scene
 
 if TYPE_CHECKING:

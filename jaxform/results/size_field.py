@@ -32,7 +32,7 @@ from jaxform.tools.mold import Mold
 
 Array = NDArray[np.float64]
 
-_POWER = 0.6  # of the rate, by which sizes fall
+_POWER = 0.75  # of the rate, by which sizes fall
 _LEAST = 0.02  # of the mean rate, the least that counts
 _REACH = 0.5  # of an element's longest side, from an edge, over which the element is drawn
 _STEP = 0.25  # of a formed element's side, between points of an edge that are looked up

@@ -18,7 +18,7 @@ from jaxform.core.pytree import as_index, as_real, pytree
 from jaxform.kernels.blocks import BLOCK, Halves, compact_indices, over_blocks, padded_length, running_count
 from jaxform.mechanics.elements import Elements, typical_row_count
 from jaxform.mechanics.membrane import gather
-from jaxform.mesh.rows import positions_in_rows
+from jaxform.mesh.topology import positions_in_rows
 from jaxform.mesh.volumes import reference_metric
 from jaxform.model.tables import Assembly, Counts, ElementPairs, ReferenceGeometry
 

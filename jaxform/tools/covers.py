@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from jaxform.mesh import meshes, outlines, topology, volumes
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.rows import positions_in_rows
+from jaxform.mesh.topology import positions_in_rows
 from jaxform.tools import opening
 from jaxform.tools.opening import FINE, FLAT, Heights, Opening
 from jaxform.tools.patches import cells, close_sides

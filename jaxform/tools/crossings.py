@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import topology
-from jaxform.mesh.rows import positions_in_rows, unique_ascending
+from jaxform.mesh.topology import positions_in_rows, unique_ascending
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import CLASSES, SearchGrid, split_long_triangles
 

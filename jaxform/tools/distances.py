@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxform.mesh import topology
-from jaxform.mesh.rows import unique_ascending
+from jaxform.mesh.topology import unique_ascending
 from jaxform.mesh.volumes import longest_sides
 from jaxform.tools.search import split_long_triangles
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.rows import distinct_rows
+from jaxform.mesh.topology import distinct_rows
 
 MOST_TRIANGLES = 2_000_000
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, outlines, planform, raster, topology
-from jaxform.mesh.rows import distinct_rows
+from jaxform.mesh.topology import distinct_rows
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

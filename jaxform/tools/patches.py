@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh import outlines, planform, raster
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.rows import distinct_rows
+from jaxform.mesh.topology import distinct_rows
 from jaxform.tools.distances import Distances
 from jaxform.tools.opening import Opening
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import outlines, raster
-from jaxform.mesh.rows import distinct_rows
+from jaxform.mesh.topology import distinct_rows
 from jaxform.mesh.volumes import longest_sides
 from jaxform.tools.crossings import Ways, crosses, near_pairs
 from jaxform.tools.search import SearchGrid

@@ -21,7 +21,7 @@ from jaxform.core.pytree import as_index, as_real, pytree
 from jaxform.core.store import Store
 from jaxform.kernels.blocks import materialize
 from jaxform.mechanics.membrane import dot
-from jaxform.mesh.rows import positions_in_rows
+from jaxform.mesh.topology import positions_in_rows
 from jaxform.mesh.volumes import longest_sides
 
 Array = NDArray[np.float64]
