@@ -39,6 +39,7 @@ _ROUNDS = 8  # of Mmg, until the number of elements is right
 _SHORT_OF = 0.95  # of the elements that are wanted, as many as are enough
 _SAME = 1e-9  # of the sheet's size: nodes as near are one
 _PAIRS = 1_000_000  # of points and edges, processed together
+_NOWHERE = np.zeros((0, 3))
 _EQUILATERAL = 4.0 / np.sqrt(3.0)  # elements of unit side in a unit of area
 
 
@@ -55,7 +56,7 @@ def load_mmg() -> Any:
         raise InputError(problem, "pip install mmgpy (or jaxform[adapt])", "parison.adapt") from None
 
 
-def remesh(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array] = ()) -> Sheet:
+def remesh(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array] = (), *, keep_lines: bool = True) -> Sheet:
     """A sheet with a new mesh.
 
     Boundary nodes stay where the boundary turns or is held in another way from there on; a node that is clamped inside,
@@ -68,6 +69,7 @@ def remesh(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array] = ()
         elements: Largest number of triangles of the new mesh; it has at least nine tenths of that, unless the number
             jumps over these, as it can for a sheet of many equal parts.
         lines: Lines (k, 3) [m] on the sheet that are to be edges of the new mesh; left out where it cannot have them.
+        keep_lines: False leaves out nodes of lines where elements between them are low, for these set the step of all.
 
     Returns:
         The sheet on its new mesh.
@@ -79,16 +81,48 @@ def remesh(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array] = ()
     size = _scale_to_count(sheet, np.asarray(size, float), elements)
     if lines:
         with contextlib.suppress(InputError):
-            return _search_count(sheet, size, elements, lines)
+            find = _search_count if keep_lines else _search_with_lines
+            return find(sheet, size, elements, lines)
     return _search_count(sheet, size, elements, ())
 
 
-def _search_count(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array]) -> Sheet:
-    """The sheet on a mesh with at most so many elements, and nearly as many, by sizes up to a common factor."""
+_LOW = 0.17  # of the height that elements of a size have: a lower one between nodes of lines costs many steps
+_CLEARINGS = 8  # meshes without such nodes, at most
+_CLEAR = 1.0  # of the size there, how far from such an element nodes of lines are left out
+
+
+def _search_with_lines(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array]) -> Sheet:
+    """As `_search_count`; nodes of lines are left out where an element between them would be low."""
+    low = _NOWHERE
+    made = _search_count(sheet, size, elements, lines)
+    for _ in range(_CLEARINGS):
+        corners = made.positions[made.triangles]
+        height = 2.0 * areas(made.positions, made.triangles) / longest_sides(corners)
+        height /= _Old(sheet).at(size, corners.mean(1))
+        found = corners.mean(1)[height < _LOW * np.median(height)]
+        if not len(found):
+            break
+        low = np.concatenate([low, found])
+        made = _search_count(sheet, size, elements, lines, low)
+    return made
+
+
+def qualities(points: Array, triangles: NDArray[np.integer]) -> Array:
+    """Shape qualities (n_element,), 1 for equilateral triangles, 0 for flat ones."""
+    sides = points[np.roll(triangles, -1, axis=1)] - points[triangles]
+    area = np.linalg.norm(topology.doubled_normals(points, triangles), axis=1)
+    return 2.0 * np.sqrt(3.0) * area / np.sum(np.square(sides), axis=(1, 2))
+
+
+def _search_count(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array], low: Array = _NOWHERE) -> Sheet:
+    """The sheet on a mesh with at most so many elements, and nearly as many, by sizes up to a common factor.
+
+    Nodes of lines near places (k, 3) [m] are left out.
+    """
     best: Sheet | None = None
     factor, few, many = 1.0, np.inf, 0.0  # of the sizes: the present one, and those with few enough and too many
     for _ in range(_ROUNDS):
-        made = _remesh_once(*_insert_points(sheet, size, lines)) if lines else _remesh_once(sheet, size)
+        made = _remesh_once(*_insert_points(sheet, size, lines, low)) if lines else _remesh_once(sheet, size)
         count = len(made.triangles)
         if count <= elements and (best is None or count > len(best.triangles)):
             best = made
@@ -466,10 +500,20 @@ def _move_to_rim(sheet: Sheet, points: Array) -> Array:
     return points
 
 
-def _insert_points(sheet: Sheet, size: Array, lines: Sequence[Array]) -> tuple[Sheet, Array, tuple[Index, Index]]:
-    """The sheet and its sizes with nodes along lines; the numbers of these, and pairs of those to be joined."""
+def _insert_points(
+    sheet: Sheet, size: Array, lines: Sequence[Array], low: Array
+) -> tuple[Sheet, Array, tuple[Index, Index]]:
+    """The sheet and its sizes with nodes along lines; the numbers of these, and pairs of those to be joined.
+
+    Nodes within a size of places (k, 3) [m] are left out.
+    """
     old = _Old(sheet)
     points, pairs = _space_points(sheet, old, size, lines)
+    if len(points) and len(low):
+        away, nearest = KDTree(low).query(points)
+        stays = away > _CLEAR * old.at(size, low)[nearest]
+        pairs = (np.cumsum(stays) - 1)[pairs[stays[pairs].all(1)]]
+        points = points[stays]
     if not len(points):
         return sheet, size, _NONE
     division = _Division(sheet)

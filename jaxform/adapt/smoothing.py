@@ -59,7 +59,7 @@ def smooth(sheet: Sheet, old: Sheet, formed: Array) -> Sheet:
         formed: The nodes (n_node, 3) [m] of that run as it ended.
 
     Returns:
-        The sheet; unchanged where it would have an element much worse than its worst.
+        The sheet. No element has a poor shape that had a better one before.
     """
     form, smooth_there = cubic_forms(old, formed)
     points, triangles = np.asarray(sheet.positions, float), np.asarray(sheet.triangles, np.int64)
@@ -69,24 +69,22 @@ def smooth(sheet: Sheet, old: Sheet, formed: Array) -> Sheet:
         if objective.error <= 0.0:
             return sheet
         points = _search(objective, points, _directions(sheet, objective.counted))
-    points = mesher.to_surface(sheet, points)
-    before, after = (_qualities(x, triangles).min() for x in (sheet.positions, points))
-    if after < min(_WORST, before) or _turns_over(sheet, points):
-        return sheet
+    points = _put_back(sheet, mesher.to_surface(sheet, points))
     return replace(sheet, positions=points, fields=mesher.carry_fields(sheet, points))
 
 
-def _turns_over(sheet: Sheet, points: Array) -> bool:
-    """True if a triangle turns over as the nodes move to points (n_node, 3) [m]."""
-    one, other = (topology.doubled_normals(x, sheet.triangles) for x in (sheet.positions, points))
-    return bool((np.sum(one * other, axis=1) <= 0.0).any())
-
-
-def _qualities(points: Array, triangles: NDArray[np.integer]) -> Array:
-    """Shape qualities (n_element,), 1 for equilateral triangles, 0 for flat ones."""
-    sides = points[np.roll(triangles, -1, axis=1)] - points[triangles]
-    area = np.linalg.norm(topology.doubled_normals(points, triangles), axis=1)
-    return 2.0 * np.sqrt(3.0) * area / np.sum(np.square(sides), axis=(1, 2))
+def _put_back(sheet: Sheet, points: Array) -> Array:
+    """The moved nodes (n_node, 3) [m]; those of elements that would turn over or become poor are where they were."""
+    triangles, before = np.asarray(sheet.triangles, np.int64), np.asarray(sheet.positions, float)
+    normals, least = topology.doubled_normals(before, triangles), mesher.qualities(before, triangles)
+    least, points = np.minimum(_WORST, least), points.copy()
+    for _ in range(len(triangles)):
+        turned = np.sum(topology.doubled_normals(points, triangles) * normals, axis=1) <= 0.0
+        bad = triangles[turned | (mesher.qualities(points, triangles) < least)].ravel()
+        if (points[bad] == before[bad]).all():
+            break
+        points[bad] = before[bad]
+    return points
 
 
 # The cubic form, by a quadratic polynomial around each node.

@@ -136,7 +136,9 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, tell: Call
         scene, result = _run_pass(document, sheet, store, number)
         note(len(sheet.triangles), size_field.mean_error(scene, result), _UNMOVED, 0.0, 0)
         lines, before = size_field.edge_lines(scene, result), sheet
-        sheet = mesher.remesh(before, size_field.wanted_sizes(scene, result), most, lines)
+        # With edge contact nodes are moved onto edges below, and lines are worth no short steps.
+        keep = not document.model.solver.edge_contact
+        sheet = mesher.remesh(before, size_field.wanted_sizes(scene, result), most, lines, keep_lines=keep)
         if number == wanted.passes:
             # Only the last mesh: the sizes of the next are found from elements in any direction.
             sheet = smoothing.smooth(sheet, before, np.asarray(result.positions, float))
@@ -157,7 +159,8 @@ def _move_to_edges(
 ) -> Sheet:
     """The sheet with nodes beside sharp edges moved so that they land on them, and new nodes on sides that cut edges.
 
-    By how much is seen in a run. The stretch beside an edge changes with the move, so another run shows what is left.
+    By how much is seen in a run. The stretch beside an edge changes with the move, so another run shows what is left:
+    where no element cuts too deep, the mesh stays, and where one cuts deeper than before, that before is taken.
 
     Args:
         document: The scene.
@@ -167,15 +170,23 @@ def _move_to_edges(
         note: Is told of each run.
     """
     passes, most = wanted
-    for number in range(passes + 1, passes + 1 + _FITS):
-        scene, result = _run_pass(document, sheet, store, number)
+    best, least = sheet, np.inf
+    for fit in range(_FITS + 1):
+        scene, result = _run_pass(document, sheet, store, passes + 1 + fit)
+        ends, share, worst = size_field.cut_sides(scene, result)
+        error = size_field.mean_error(scene, result)
+        if worst > max(least, 1.0):
+            sheet = best
+        if worst > max(least, 1.0) or fit == _FITS or (fit and not len(ends)):
+            note(len(scene.parison.triangles), error, 0, 0.0, 0)
+            break
+        best, least = sheet, worst
         made = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result))
         moves = np.linalg.norm(made.positions - sheet.positions, axis=1) / np.sqrt(np.mean(scene.tables.sheet.area))
-        ends, share = size_field.cut_sides(scene, result)
         changed = np.unique(sheet.triangles[(moves[sheet.triangles] > 0.0).any(1)])
         still = ~np.isin(ends, changed).any(1)  # the others are as deep no more
         made = mesher.divide_sides(made, ends[still], share[still], most)
-        added, error = len(made.positions) - len(sheet.positions), size_field.mean_error(scene, result)
+        added = len(made.positions) - len(sheet.positions)
         note(len(sheet.triangles), error, np.count_nonzero(moves), float(moves.max()), added)
         sheet = made
         if moves.max() <= _FITTED and not added:

@@ -182,6 +182,8 @@ def _is_convex(vertices: Array, edges: NDArray[np.integer], places: Array) -> ND
 # Nodes moved on the initial sheet, so that they land on sharp edges, not beside them.
 
 _BESIDE = 0.5  # of the mean formed side at a node: it is moved onto an edge no farther away
+_CUT_EDGE = 0.02  # of it: an element that cuts a tool deeper has a convex edge of that beside it
+_AT_CORNER = 0.3  # of the mean formed side at a node: it is moved onto a corner no farther away
 _ALONG = 0.8  # cosine to the edge, of a way between nodes that follow one another on it
 _ROUNDING = 1e-9  # of a distance, by which points are looked up farther away
 _ON_EDGE = 0.002  # of it: an element as near to the place of an edge is held there, or has a node there
@@ -212,7 +214,7 @@ def _pairs_across_sides(scene: Scene, node: NDArray[np.int64], goal: Array, alon
         scene: The scene.
         node: The nodes (k,).
         goal: Places on edges at which they are to land (k, 3) [m].
-        along: Unit vectors (k, 3) along those edges.
+        along: Unit vectors (k, 3) along those edges; zero at a corner, where edges meet.
     """
     triangles, count = np.asarray(scene.parison.triangles, np.int64), len(scene.parison.positions)
     opposite = topology.opposite_nodes(triangles)
@@ -220,8 +222,9 @@ def _pairs_across_sides(scene: Scene, node: NDArray[np.int64], goal: Array, alon
     way[node], place[node] = along, goal
     between = place[opposite[:, 1]] - place[opposite[:, 0]]
     between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), np.finfo(float).tiny)
-    straight = np.abs(np.einsum("nek,nk->ne", way[opposite], between)).min(1) > _ALONG
-    return opposite[straight]
+    along_both = np.abs(np.einsum("nek,nk->ne", way[opposite], between))
+    at_corner = ~way[opposite].any(2)
+    return opposite[(along_both > _ALONG).any(1) & ((along_both > _ALONG) | at_corner).all(1)]
 
 
 def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, NDArray[np.int64], Array, Array]:
@@ -229,7 +232,7 @@ def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, ND
 
     Returns:
         Places on the initial sheet (k, 3) [m] that land on the edges, the nodes (k,) which are to be there, where they
-        land (k, 3) [m], and unit vectors along the edges (k, 3).
+        land (k, 3) [m], and unit vectors along the edges (k, 3), zero at corners, where edges meet.
     """
     vertices = np.asarray(mold.vertices, float)
     edges = topology.sharp_edges(vertices, np.asarray(mold.triangles))
@@ -240,7 +243,11 @@ def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, ND
     size = _mean_at_nodes(longest_sides(formed[triangles]), triangles, np.ones(len(triangles)), len(start))
     goal, edge = _nearest_on_edges(formed, vertices, edges, _BESIDE * float(size.max()))
     near = (np.linalg.norm(goal - formed, axis=1) <= _BESIDE * size) & ~np.asarray(scene.parison.clamped)
-    near &= _is_convex(vertices, edges[:, edge], start)
+    # From above, an edge that runs down is between its faces as a concave one is: elements that cut show which it is.
+    cut = np.zeros(len(start), bool)
+    cut[triangles[measure_cuts(result, scene)[0] > _CUT_EDGE * size[triangles].mean(1)]] = True
+    near &= _is_convex(vertices, edges[:, edge], start) | cut
+    at_corner = _move_to_corners(goal, formed, np.where(near, size, 0.0), vertices[_corners(vertices, edges[:2].T)])
     node = np.flatnonzero(near)
     element, corner = np.nonzero(np.isin(triangles, node))
     owner = np.searchsorted(node, triangles[element, corner])
@@ -256,7 +263,21 @@ def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, ND
     place = np.einsum("nc,nck->nk", weight[first], start[triangles[element[first]]])
     way = (vertices[edges[1]] - vertices[edges[0]])[edge[node[lies]]]
     length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), np.finfo(float).tiny)
-    return place[lies], node[lies], goal[node[lies]], way / length
+    return place[lies], node[lies], goal[node[lies]], np.where(at_corner[node[lies], None], 0.0, way / length)
+
+
+def _move_to_corners(goal: Array, formed: Array, size: Array, corners: Array) -> NDArray[np.bool_]:
+    """Puts the goal of the node nearest to each corner (k, 3) [m] onto it, if it is near for its size (n_node,) [m].
+
+    Returns:
+        Mask of these nodes (n_node,).
+    """
+    chosen = np.zeros(len(goal), bool)
+    if len(corners):
+        away, nearest = KDTree(formed).query(corners)
+        there = away <= _AT_CORNER * size[nearest]
+        goal[nearest[there]], chosen[nearest[there]] = corners[there], True
+    return chosen
 
 
 def _nearest_on_edges(
@@ -284,13 +305,14 @@ _CUT, _CUT_OF_WALL = 0.05, 0.5  # of the first thickness, and of the wall: eleme
 _MIDDLE = 0.3  # of a side, the least share of it on either side of a new node
 
 
-def cut_sides(scene: Scene, result: Result) -> tuple[NDArray[np.int64], Array]:
+def cut_sides(scene: Scene, result: Result) -> tuple[NDArray[np.int64], Array, float]:
     """The sides nearest to the deepest places of elements that cut the mold too deep, the deepest first.
 
     An element cuts an edge the deepest at one of its sides.
 
     Returns:
-        The ends (k, 2) of the sides, and the shares (k,) of the second end at the places.
+        The ends (k, 2) of the sides, the shares (k,) of the second end at the places, and the deepest cut over the
+        depth from which elements count.
     """
     depth, corner_share = measure_cuts(result, scene)
     first = np.asarray(scene.parison.thickness, float)[np.asarray(scene.parison.triangles)].mean(1)
@@ -299,4 +321,4 @@ def cut_sides(scene: Scene, result: Result) -> tuple[NDArray[np.int64], Array]:
     corner = (np.argmin(corner_share[order], axis=1)[:, None] + np.array([1, 2])) % 3
     one, other = np.take_along_axis(corner_share[order], corner, axis=1).T
     ends = np.take_along_axis(np.asarray(scene.parison.triangles, np.int64)[order], corner, axis=1)
-    return ends, np.clip(other / (one + other), _MIDDLE, 1.0 - _MIDDLE)
+    return ends, np.clip(other / (one + other), _MIDDLE, 1.0 - _MIDDLE), float(depth.max())

@@ -384,7 +384,8 @@ def test_sides_of_elements_that_cut_a_rib_are_found_with_the_deepest_place() -> 
     assert not len(size_field.cut_sides(scene, result)[0])  # the sides are held at its edges
     formed = np.asarray(result.positions) + np.array([0.0, 0.0, 5e-4])
     lower = dataclasses.replace(result, positions=jnp.asarray(formed))
-    ends, share = size_field.cut_sides(scene, lower)
+    ends, share, worst = size_field.cut_sides(scene, lower)
+    assert worst > 1.0
     places = formed[ends[:, 0]] + share[:, None] * (formed[ends[:, 1]] - formed[ends[:, 0]])
     assert len(ends) == 2
     assert (places[:, 0] > RIB[0]).all() and (places[:, 0] < RIB[1]).all()
