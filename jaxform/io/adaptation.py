@@ -160,7 +160,8 @@ def _move_to_edges(
     """The sheet with nodes beside sharp edges moved so that they land on them, and new nodes on sides that cut edges.
 
     By how much is seen in a run. The stretch beside an edge changes with the move, so another run shows what is left:
-    where no element cuts too deep, the mesh stays, and where one cuts deeper than before, that before is taken.
+    where no element cuts too deep, the mesh stays, and where one cuts deeper than before, that before is
+    taken, with new nodes alone.
 
     Args:
         document: The scene.
@@ -170,17 +171,19 @@ def _move_to_edges(
         note: Is told of each run.
     """
     passes, most = wanted
-    best, least = sheet, np.inf
+    best, cuts, least = sheet, (np.zeros((0, 2), np.int64), np.zeros(0)), np.inf
     for fit in range(_FITS + 1):
         scene, result = _run_pass(document, sheet, store, passes + 1 + fit)
         ends, share, worst = size_field.cut_sides(scene, result)
         error = size_field.mean_error(scene, result)
-        if worst > max(least, 1.0):
-            sheet = best
-        if worst > max(least, 1.0) or fit == _FITS or (fit and not len(ends)):
-            note(len(scene.parison.triangles), error, 0, 0.0, 0)
+        deeper = worst > max(least, 1.0)
+        if deeper:
+            sheet = mesher.divide_sides(best, *cuts, most)
+        if deeper or fit == _FITS or (fit and not len(ends)):
+            added = len(sheet.positions) - len(best.positions) if deeper else 0
+            note(len(scene.parison.triangles), error, 0, 0.0, added)
             break
-        best, least = sheet, worst
+        best, cuts, least = sheet, (ends, share), worst
         made = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result))
         moves = np.linalg.norm(made.positions - sheet.positions, axis=1) / np.sqrt(np.mean(scene.tables.sheet.area))
         changed = np.unique(sheet.triangles[(moves[sheet.triangles] > 0.0).any(1)])

@@ -139,7 +139,7 @@ def test_nodes_are_moved_where_tools_have_edges(
 
     monkeypatch.setattr(adaptation, "_move_to_edges", move)
     monkeypatch.setattr(adaptation, "_run_pass", lambda *_: (scene, SimpleNamespace(positions=None)))
-    monkeypatch.setattr(adaptation.mesher, "remesh", lambda sheet, *_: sheet)
+    monkeypatch.setattr(adaptation.mesher, "remesh", lambda sheet, *_, **__: sheet)
     monkeypatch.setattr(adaptation.smoothing, "smooth", lambda sheet, *_: sheet)
     for name, value in {"mean_error": 0.1, "edge_lines": [], "wanted_sizes": None}.items():
         monkeypatch.setattr(adaptation.size_field, name, lambda *_, value=value: value)
