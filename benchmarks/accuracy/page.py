@@ -128,7 +128,9 @@ def _meshes(found: Found, folder: Path) -> str:
         "area, over the CPU time of whole runs on one core after compiling. Each run's is the least of five, in rounds "
         "through all runs, and of this process alone: two measurements on a busy machine (30 November 2026) agreed to "
         "7 %. An adapted run's time is that of three runs and of the meshing between them; later runs on its mesh cost "
-        "the last of these alone. Refined in flight: the table of `dish-refined`, to fewer or as many levels.\n",
+        "the last of these alone. Measured before the last mesh's nodes moved for the wall and sizes followed the "
+        "error more, which changed these errors by -6 to +8 % ([refinement](explanation/refinement.md)). Refined in "
+        "flight: the table of `dish-refined`, to fewer or as many levels.\n",
         "![Error over CPU time on three kinds of mesh](meshes.png)\n",
         "| | | elements | error | CPU time | elements times steps |",
         "|---|---|---|---|---|---|",
