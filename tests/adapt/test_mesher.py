@@ -13,7 +13,7 @@ from jaxform.core.errors import InputError
 from jaxform.mesh import shapes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.shapes import Sheet
-from jaxform.mesh.volumes import areas
+from jaxform.mesh.volumes import areas, longest_sides
 from jaxform.tools.distances import Distances, segment_distance
 
 pytestmark = pytest.mark.quick
@@ -124,6 +124,19 @@ def test_lines_are_edges_of_the_new_mesh(name: str) -> None:
         assert covered > length - 1.5 * side, (covered / side, length / side)
     angle = _angles(made)
     assert np.quantile(angle, 0.01) > 20.0 and angle.min() > 8.0, (np.quantile(angle, 0.01), angle.min())
+
+
+def test_lines_are_left_out_where_elements_between_their_nodes_are_low(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The lowest element at lines across this sheet has a fifth of the usual height.
+    monkeypatch.setattr(mesher, "_LOW", 0.35)
+    sheet = SHEETS["sphere"]
+    lowest = []
+    for keep in (True, False):
+        made = mesher.remesh(sheet, np.ones(len(sheet.positions)), 900, _lines_across(sheet), keep_lines=keep)
+        corners = made.positions[made.triangles]
+        height = 2.0 * areas(made.positions, made.triangles) / longest_sides(corners)
+        lowest.append(height.min() / np.median(height))
+    assert lowest[1] > 0.35 > lowest[0]
 
 
 def _lines_across(sheet: Sheet) -> list[np.ndarray]:

@@ -127,3 +127,16 @@ def test_the_objective_has_its_gradient() -> None:
     step = 1e-6
     secant = (objective(at + step * way)[0] - objective(at - step * way)[0]) / (2.0 * step)
     assert np.sum(objective(at)[1] * way) == pytest.approx(secant, rel=1e-6)
+
+
+def test_nodes_beside_a_poor_element_are_put_back_alone() -> None:
+    sheet, *_ = CASES["rectangle"]
+    points = np.asarray(sheet.positions, float).copy()
+    inner = np.setdiff1d(np.arange(len(points)), topology.boundary_nodes(sheet.triangles))
+    one, far = inner[len(inner) // 3], inner[2 * len(inner) // 3]
+    own = sheet.triangles[(sheet.triangles == one).any(1)][0]
+    points[one] = points[own[own != one]].mean(0) + 1e-6 * points[one]
+    points[far] += [1e-3, 0.0, 0.0]
+    made = smoothing._put_back(sheet, points)
+    assert np.array_equal(made[one], sheet.positions[one])
+    assert np.array_equal(made[far], points[far])

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -148,6 +149,50 @@ def test_nodes_are_moved_where_tools_have_edges(
     first = geometry.build_sheet(adaptation.without_adaptation(document))
     adaptation._make(document, first, None, told.append)
     assert len(told) == 2 and len(moved) == moves
+
+
+@pytest.mark.parametrize(
+    ("worst", "taken", "runs"),
+    [
+        ((3.0, 0.0), "moved", 2),  # nothing cuts after the first move: no second one
+        ((3.0, 4.0), "divided", 2),  # deeper than before: the mesh before, with new nodes
+        ((3.0, 2.0, 1.5), "moved twice", 3),
+        ((3.0, 2.0, 2.5), "moved, divided", 3),
+    ],
+)
+def test_moves_that_make_a_cut_deeper_are_taken_back(
+    monkeypatch: pytest.MonkeyPatch, worst: tuple[float, ...], taken: str, runs: int
+) -> None:
+    triangles = np.array([[0, 1, 2]], np.int32)
+    first = Sheet(np.eye(3), triangles, np.zeros(3, bool), np.zeros((3, 3), bool))
+    scene = SimpleNamespace(
+        tables=SimpleNamespace(sheet=SimpleNamespace(area=np.ones(1))), parison=SimpleNamespace(triangles=triangles)
+    )
+    left, told = list(worst), list[tuple[float, ...]]()
+    some = np.array([[0, 1]]), np.array([0.5])
+    none = np.zeros((0, 2), np.int64), np.zeros(0)
+
+    def cut(*_: object) -> tuple[np.ndarray, np.ndarray, float]:
+        depth = left.pop(0)
+        return (*(some if depth > 1.0 else none), depth)
+
+    def move(sheet: Sheet, *_: object) -> Sheet:
+        return replace(sheet, positions=sheet.positions + 1.0)
+
+    def divide(sheet: Sheet, ends: np.ndarray, *_: object) -> Sheet:
+        return replace(sheet, positions=sheet.positions - 10.0) if len(ends) else sheet
+
+    monkeypatch.setattr(adaptation, "_run_pass", lambda *_: (scene, None))
+    monkeypatch.setattr(adaptation.size_field, "cut_sides", cut)
+    monkeypatch.setattr(adaptation.size_field, "mean_error", lambda *_: 0.1)
+    monkeypatch.setattr(adaptation.size_field, "places_at_edges", lambda *_: ())
+    monkeypatch.setattr(adaptation.mesher, "move_nodes", move)
+    monkeypatch.setattr(adaptation.mesher, "divide_sides", divide)
+    document: Any = None
+    made = adaptation._move_to_edges(document, first, None, (1, 40), lambda *run: told.append(run))
+    by = {"moved": 1.0, "divided": -10.0, "moved twice": 2.0, "moved, divided": -9.0}[taken]
+    np.testing.assert_array_equal(made.positions, np.eye(3) + by)
+    assert len(told) == runs
 
 
 def test_a_best_design_keeps_the_mesh_that_it_was_found_on(tmp_path: Path) -> None:
