@@ -174,7 +174,8 @@ def test_moves_that_make_a_cut_deeper_are_taken_back(
 
     def cut(*_: object) -> tuple[np.ndarray, np.ndarray, float]:
         depth = left.pop(0)
-        return (*(some if depth > 1.0 else none), depth)
+        ends, share = some if depth > 1.0 else none
+        return ends, share, depth
 
     def move(sheet: Sheet, *_: object) -> Sheet:
         return replace(sheet, positions=sheet.positions + 1.0)
