@@ -244,7 +244,13 @@ def test_every_feature_is_in_use(case: Case) -> None:
 def test_energy_balances(case: Case) -> None:
     # New nodes that begin at rest lose their energy at half a step from where it is counted.
     plain = case.scene.refinement is None and isinstance(case.scene.pressure, jaxform.Pressure)
-    assert float(case.ran.energy.balance_error) < (1e-3 if plain else 2e-3)
+    error, limit = float(case.ran.energy.balance_error), 1e-3 if plain else 2e-3
+    if case.name == "added":
+        # In 192 steps of a nonlinear law trapezoids miss 0.21 % of the work: in steps of half the length a quarter.
+        short = dataclasses.replace(case.scene, solver=dataclasses.replace(case.scene.solver, safety=real(0.45)))
+        coarse, error, limit = error, float(jaxform.run(short).energy.balance_error), 6e-4
+        assert error < 0.3 * coarse
+    assert error < limit
 
 
 def test_a_file_has_what_the_part_has(case: Case, tmp_path: Path) -> None:
