@@ -96,22 +96,14 @@ def _search_with_lines(sheet: Sheet, size: Array, elements: int, lines: Sequence
     low = _NOWHERE
     made = _search_count(sheet, size, elements, lines)
     for _ in range(_CLEARINGS):
-        corners = made.positions[made.triangles]
-        height = 2.0 * areas(made.positions, made.triangles) / longest_sides(corners)
-        height /= _Old(sheet).at(size, corners.mean(1))
-        found = corners.mean(1)[height < _LOW * np.median(height)]
+        middle = made.positions[made.triangles].mean(1)
+        height = _heights(made.positions, made.triangles) / _Old(sheet).at(size, middle)
+        found = middle[height < _LOW * np.median(height)]
         if not len(found):
             break
         low = np.concatenate([low, found])
         made = _search_count(sheet, size, elements, lines, low)
     return made
-
-
-def qualities(points: Array, triangles: NDArray[np.integer]) -> Array:
-    """Shape qualities (n_element,), 1 for equilateral triangles, 0 for flat ones."""
-    sides = points[np.roll(triangles, -1, axis=1)] - points[triangles]
-    area = np.linalg.norm(topology.doubled_normals(points, triangles), axis=1)
-    return 2.0 * np.sqrt(3.0) * area / np.sum(np.square(sides), axis=(1, 2))
 
 
 def _search_count(sheet: Sheet, size: Array, elements: int, lines: Sequence[Array], low: Array = _NOWHERE) -> Sheet:

@@ -31,6 +31,7 @@ from scipy.sparse import csr_array
 from jaxform.adapt import mesher
 from jaxform.mesh import topology
 from jaxform.mesh.shapes import Sheet
+from jaxform.tools.crossings import nodal_normals
 from jaxform.tools.distances import Distances, interpolate, weights
 
 Array = NDArray[np.float64]
@@ -41,7 +42,7 @@ _LEAST_NODES = 9  # of a fit with six unknowns
 _ROUGH = 0.15  # of the quadratic part of a fit, what it may miss: 0.03 to 0.12 in smooth regions, 0.2 to 1 at corners
 _SEARCHES = 2  # of which each finds the form anew where the elements are
 _ITERATIONS = 60  # of a search
-_FARTHEST = 0.5  # of the mean size of a node's elements, how far a search moves it along each axis
+_FARTHEST = 0.5  # of the size of a node's largest element, how far a search moves it along each axis
 _SIZE = 1.1  # ratio of an element's area to the one that was asked for, up to which nothing is paid
 _SHAPE = 0.7  # shape quality of elements, 1 for equilateral ones, from which on nothing is paid
 _SIZE_PRICE, _SHAPE_PRICE = 25.0, 250.0  # of the mean squares beyond, in mean square errors of the mesh to begin with
@@ -76,15 +77,22 @@ def smooth(sheet: Sheet, old: Sheet, formed: Array) -> Sheet:
 def _put_back(sheet: Sheet, points: Array) -> Array:
     """The moved nodes (n_node, 3) [m]; those of elements that would turn over or become poor are where they were."""
     triangles, before = np.asarray(sheet.triangles, np.int64), np.asarray(sheet.positions, float)
-    normals, least = topology.doubled_normals(before, triangles), mesher.qualities(before, triangles)
+    normals, least = topology.doubled_normals(before, triangles), qualities(before, triangles)
     least, points = np.minimum(_WORST, least), points.copy()
     for _ in range(len(triangles)):
         turned = np.sum(topology.doubled_normals(points, triangles) * normals, axis=1) <= 0.0
-        bad = triangles[turned | (mesher.qualities(points, triangles) < least)].ravel()
+        bad = triangles[turned | (qualities(points, triangles) < least)].ravel()
         if (points[bad] == before[bad]).all():
             break
         points[bad] = before[bad]
     return points
+
+
+def qualities(points: Array, triangles: NDArray[np.integer]) -> Array:
+    """Shape qualities (n_element,), 1 for equilateral triangles, 0 for flat ones."""
+    sides = points[np.roll(triangles, -1, axis=1)] - points[triangles]
+    area = np.linalg.norm(topology.doubled_normals(points, triangles), axis=1)
+    return 2.0 * np.sqrt(3.0) * area / np.sum(np.square(sides), axis=(1, 2))
 
 
 # The cubic form, by a quadratic polynomial around each node.
@@ -132,8 +140,7 @@ def _patches(triangles: NDArray[np.integer], count: int) -> tuple[Index, Index, 
 
 def _tangents(points: Array, triangles: NDArray[np.integer]) -> Array:
     """Two unit vectors (n_node, 2, 3) that span the tangent plane at each node, right-handed with its normal."""
-    normal = np.zeros(points.shape)
-    np.add.at(normal, triangles.ravel(), np.repeat(topology.doubled_normals(points, triangles), 3, axis=0))
+    normal = nodal_normals(points, triangles)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
     axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     one = np.cross(axis, normal)

@@ -270,7 +270,10 @@ def distinguishable_points(across: Array, up: Array) -> NDArray[np.int64]:
 
 def varies_across(place: Array, values: Array) -> bool:
     """True if values (n,) differ between nodes at nearly the same place (n,) along a sheet, as those of a field do."""
-    ordered = values[np.argsort(place)]
-    groups = np.array_split(ordered, max(1, min(_GROUPS, len(ordered) // 8)))
-    within = np.concatenate([group - group.mean() for group in groups])
-    return bool(np.var(within) > _ACROSS * np.var(ordered))
+    within = np.concatenate([values[group] - values[group].mean() for group in groups_along(place)])
+    return bool(np.var(within) > _ACROSS * np.var(values))
+
+
+def groups_along(place: Array) -> list[NDArray[np.intp]]:
+    """The numbers of nodes at nearly the same place (n,) along a sheet, group by group."""
+    return np.array_split(np.argsort(place), max(1, min(_GROUPS, len(place) // 8)))

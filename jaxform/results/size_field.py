@@ -199,9 +199,10 @@ def places_at_edges(scene: Scene, result: Result) -> tuple[Array, NDArray[np.int
         The places, and pairs (m, 2) of moved nodes which follow one another on an edge and have a side between them.
     """
     places, pairs = np.asarray(scene.parison.positions, float).copy(), [np.zeros((0, 2), np.int64)]
+    depth, _ = measure_cuts(result, scene)
     for surface in scene.surfaces:
         if surface.mold.contact.sticks:
-            moved, node, goal, along = _moves_to_edges(surface.mold, scene, result)
+            moved, node, goal, along = _moves_to_edges(surface.mold, scene, result, depth)
             places[node] = moved
             pairs.append(_pairs_across_sides(scene, node, goal, along))
     return places, np.concatenate(pairs)
@@ -227,8 +228,10 @@ def _pairs_across_sides(scene: Scene, node: NDArray[np.int64], goal: Array, alon
     return opposite[(along_both > _ALONG).any(1) & ((along_both > _ALONG) | at_corner).all(1)]
 
 
-def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, NDArray[np.int64], Array, Array]:
-    """The moves onto edges of one tool.
+def _moves_to_edges(
+    mold: Mold, scene: Scene, result: Result, depth: Array
+) -> tuple[Array, NDArray[np.int64], Array, Array]:
+    """The moves onto edges of one tool, from depths (n_element,) [m] of the elements in the mold.
 
     Returns:
         Places on the initial sheet (k, 3) [m] that land on the edges, the nodes (k,) which are to be there, where they
@@ -245,7 +248,7 @@ def _moves_to_edges(mold: Mold, scene: Scene, result: Result) -> tuple[Array, ND
     near = (np.linalg.norm(goal - formed, axis=1) <= _BESIDE * size) & ~np.asarray(scene.parison.clamped)
     # From above, an edge that runs down is between its faces as a concave one is: elements that cut show which it is.
     cut = np.zeros(len(start), bool)
-    cut[triangles[measure_cuts(result, scene)[0] > _CUT_EDGE * size[triangles].mean(1)]] = True
+    cut[triangles[depth > _CUT_EDGE * size[triangles].mean(1)]] = True
     near &= _is_convex(vertices, edges[:, edge], start) | cut
     at_corner = _move_to_corners(goal, formed, np.where(near, size, 0.0), vertices[_corners(vertices, edges[:2].T)])
     node = np.flatnonzero(near)

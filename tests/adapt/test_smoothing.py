@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from jaxform.adapt import mesher, smoothing
+from jaxform.adapt import smoothing
 from jaxform.mesh import shapes, topology
 from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.volumes import areas
@@ -81,7 +81,7 @@ def test_triangles_miss_less_and_keep_their_areas_and_shapes(name: str) -> None:
     before, after = (areas(np.asarray(x.positions, float), x.triangles) for x in (sheet, made))
     assert after.sum() == pytest.approx(before.sum(), rel=2e-3)
     assert np.abs(np.log(after / before)).max() < np.log(2.0)
-    assert mesher.qualities(made.positions, made.triangles).min() > 0.5
+    assert smoothing.qualities(made.positions, made.triangles).min() > 0.5
     rim = topology.boundary_nodes(sheet.triangles)
     still = rim[~sheet.fixed[rim].any(1) | sheet.clamped[rim]]
     assert np.array_equal(made.positions[still], sheet.positions[still])

@@ -18,6 +18,7 @@ from jaxform.io.surfaces import (
     MOLD_COLOR,
     counted_elements,
     distinguishable_points,
+    groups_along,
     is_flat,
     tool_colors,
     varies_across,
@@ -131,7 +132,6 @@ def _clamped_nodes(part: StoredPart, symmetry: Mapping[str, float]) -> NDArray[n
 _KEPT = 5e-3  # of a limit, by which it may be broken
 
 
-_GROUPS = 40  # of nodes along a sheet, of each of which a field's range is drawn
 _EVEN = 1e-6  # of a field's largest value, by which it may vary where it is one number
 _DESIGNED = {
     "initial_thickness": ("initial thickness [mm]", 1e3),
@@ -221,7 +221,7 @@ def _initial(start: StoredPart, best: StoredPart, symmetry: Mapping[str, float],
 
 def _range_along(place: Array, values: Array) -> list[tuple[Array, Array]]:
     """Lines (k,), (k,) of the least, the mean and the largest of the values (n,) at nearly the same place (n,)."""
-    groups = np.array_split(np.argsort(place), max(1, min(_GROUPS, len(place) // 8)))
+    groups = groups_along(place)
     along = np.array([place[group].mean() for group in groups])
     return [(along, np.array([of(values[group]) for group in groups])) for of in (np.min, np.mean, np.max)]
 
