@@ -291,6 +291,8 @@ class Ways:
     Attributes:
         element: The elements (n_cut,), in order.
         triangles: Their nodes (n_cut, 3).
+        mold_corners: Corners of the mold's triangles (n_triangle, 3, 3) [m].
+        grid: The mold's search structure.
     """
 
     def __init__(self, triangles: Integers, corners: Array, mold_corners: Array, grid: SearchGrid) -> None:
@@ -301,7 +303,7 @@ class Ways:
             keys.append(element[cut] * len(mold_corners) + triangle[cut])
         element, self._triangle = np.divmod(unique_ascending(np.concatenate(keys)), len(mold_corners))
         self.element, self._first, self._count = np.unique(element, return_index=True, return_counts=True)
-        self.triangles, self._mold_corners = triangles[self.element], mold_corners
+        self.triangles, self.mold_corners, self.grid = triangles[self.element], mold_corners, grid
         self._corners = corners[self.element]
         inside = np.random.default_rng(0).uniform(0.1, 1.0, (len(self.element), 3, 3))
         inside /= inside.sum(2, keepdims=True)
@@ -332,7 +334,7 @@ class Ways:
             )
             element = owner[one]
             begin, end = self._begin[row[element], corner], ends[element, place]
-            met = crosses(begin, end, self._mold_corners[self._triangle[pair[one]]])
+            met = crosses(begin, end, self.mold_corners[self._triangle[pair[one]]])
             np.add.at(result, (element[met], corner[met], place[met]), 1)
         return result % 2 == 1
 

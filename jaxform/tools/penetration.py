@@ -96,32 +96,16 @@ def penetration(
         pull: Unit vector (3,) in which the part is pulled off the mold; None without such a direction.
     """
     resting = np.zeros_like(positions) if resting is None else resting
-    if grid is None:
-        grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
-    mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
-    lifted, away, below, in_contact = _lift_nodes(positions, wall, mold_corners, resting)
-    ways, measured = _find_ways(lifted, triangles, mold_corners, grid)
-    unmeasured = len(triangles) - len(measured)
+    ways, compared, side, (lifted, away, below) = _find_cuts(positions, triangles, wall, mold, resting, grid)
+    unmeasured = len(triangles) - len(compared)
     if not len(ways.element):
         return Penetration(below, 0.0, np.zeros(3), unmeasured)
-    rests = resting.any(1)
-    trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
-    beyond = penetrating_nodes(triangles, ways, in_contact, trust)
-    corners = positions[triangles]
-    farthest = float(longest_sides(corners).max())
-    distances = Distances(mold.vertices, mold.triangles, farthest)
-    deepest, _ = distances.largest(positions[beyond & ~rests])
-    deepest_element = _deepest(corners[measured[ways.element]], ways, np.where(beyond, -trust, trust), distances)
-    ribs = find_ribs(lifted, resting + away, in_contact | rests, ways, mold_corners, grid, pull)
+    rests, corners = resting.any(1), positions[triangles]
+    distances = Distances(mold.vertices, mold.triangles, float(longest_sides(corners).max()))
+    deepest, _ = distances.largest(positions[(side < 0) & ~rests])
+    deepest_element = _deepest(corners[compared[ways.element]], ways, side, distances)
+    ribs = find_ribs(lifted, resting + away, (wall != 0) | rests, ways, pull)
     return Penetration(max(deepest, below), *deepest_element, unmeasured, ribs)
-
-
-def _find_ways(
-    lifted: Array, triangles: Integers, mold_corners: Array, grid: SearchGrid
-) -> tuple[Ways, NDArray[np.int64]]:
-    """Paths inside elements with lifted nodes (n_node, 3) [m] that the mold cuts, and those that are compared (k,)."""
-    measured = _limit_elements(lifted[triangles], mold_corners, float(grid.reach))
-    return Ways(triangles[measured], lifted[triangles[measured]], mold_corners, grid), measured
 
 
 def element_depths(
@@ -132,25 +116,42 @@ def element_depths(
     Returns:
         Depths (n_element,) [m], and the shares (n_element, 3) of their corners at the deepest places.
     """
-    if grid is None:
-        grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
-    mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
-    lifted, _, _, in_contact = _lift_nodes(positions, wall, mold_corners, resting)
-    ways, measured = _find_ways(lifted, triangles, mold_corners, grid)
+    ways, compared, side, _ = _find_cuts(positions, triangles, wall, mold, resting, grid)
     depth, share = np.zeros(len(triangles)), np.full((len(triangles), 3), 1.0 / 3.0)
     if not len(ways.element):
         return depth, share
-    trust = np.where(resting.any(1), _TRUST_IN_RESTING, 1.0)
-    side = np.where(penetrating_nodes(triangles, ways, in_contact, trust), -trust, trust)
     shares = _lattice(_DIVISIONS)
     row, point = np.nonzero(_points_beyond_mold(ways, np.arange(len(ways.element)), shares, side))
-    element = measured[ways.element[row]]
+    element = compared[ways.element[row]]
     corners = positions[triangles]
     distances = Distances(mold.vertices, mold.triangles, float(longest_sides(corners).max()))
     own = distances.exact(np.einsum("pc,pck->pk", shares[point], corners[element]))
     order = np.argsort(own, kind="stable")
     depth[element[order]], share[element[order]] = own[order], shares[point[order]]
     return depth, share
+
+
+def _find_cuts(
+    positions: Array, triangles: Integers, wall: Integers, mold: Mold, resting: Array, grid: SearchGrid | None
+) -> tuple[Ways, NDArray[np.int64], Array, tuple[Array, Array, float]]:
+    """The elements that the mold cuts, by the arguments of `penetration`.
+
+    Returns:
+        Paths inside these elements; the elements (k,) that are compared with the mold, in whose order the paths name
+        theirs; the sides of the nodes (n_node,), negative beyond the mold, the magnitude of which is their certainty;
+        and the nodes lifted off the mold, as of `_lift_nodes`.
+    """
+    if grid is None:
+        grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
+    mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    rests = resting.any(1)
+    in_contact = (wall != 0) & ~rests
+    lifted, away, below = _lift_nodes(positions, wall, in_contact, mold_corners, resting)
+    compared = _limit_elements(lifted[triangles], mold_corners, float(grid.reach))
+    ways = Ways(triangles[compared], lifted[triangles[compared]], mold_corners, grid)
+    trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
+    beyond = penetrating_nodes(triangles, ways, in_contact, trust) if len(ways.element) else np.zeros(len(wall), bool)
+    return ways, compared, np.where(beyond, -trust, trust), (lifted, away, below)
 
 
 def _limit_elements(corners: Array, mold_corners: Array, reach: float) -> NDArray[np.int64]:
@@ -200,28 +201,20 @@ def pull_direction(start: Array, triangles: Integers, pressure: float) -> Array 
 
 
 def _lift_nodes(
-    positions: Array, wall: Integers, mold_corners: Array, resting: Array
-) -> tuple[Array, Array, float, NDArray[np.bool_]]:
-    """Nodes (n_node, 3) [m] lifted off the mold, directions from it, their depth below its planes [m], and the mask.
+    positions: Array, wall: Integers, in_contact: NDArray[np.bool_], mold_corners: Array, resting: Array
+) -> tuple[Array, Array, float]:
+    """Nodes (n_node, 3) [m] lifted off the mold, directions (n_node, 3) from it, and their depth below its planes [m].
 
-    Directions (n_node, 3) are those of nodes in contact, which are masked, without the ones that rest.
+    The directions are those of nodes in contact (n_node,), 0 of the others, the ones that rest included.
     """
     size = float(np.ptp(mold_corners, axis=(0, 1)).max())
-    in_contact = (wall != 0) & ~resting.any(1)
-    lift, below = _lift(positions, wall, in_contact, mold_corners, size)
-    return positions + lift + _RESTING_LIFT * size * resting, lift / (_LIFT * size), below, in_contact
-
-
-def _lift(
-    positions: Array, wall: Integers, in_contact: NDArray[np.bool_], mold_corners: Array, size: float
-) -> tuple[Array, float]:
-    """Vectors that lift nodes in contact off the mold (n_node, 3) [m], and the nodes' depth below its planes [m]."""
     node = np.flatnonzero(in_contact)
     normal = contact_normals(wall[node], mold_corners)
     height = np.einsum("ij,ij->i", positions[node] - mold_corners[np.abs(wall[node]) - 1, 0], normal)
     lift = np.zeros_like(positions)
     lift[node] = _LIFT * size * normal
-    return lift, 0.0 - float(height.min(initial=0.0))
+    lifted = positions + lift + _RESTING_LIFT * size * resting
+    return lifted, lift / (_LIFT * size), 0.0 - float(height.min(initial=0.0))
 
 
 def _deepest(corners: Array, ways: Ways, side: Array, distances: Distances) -> tuple[float, Array]:

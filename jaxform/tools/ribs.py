@@ -82,8 +82,6 @@ def find_ribs(
     away: Array,
     sticking: NDArray[np.bool_],
     ways: Ways,
-    mold_corners: Array,
-    grid: SearchGrid,
     pull: Array | None = None,
 ) -> Ribs:
     """The ribs and pins that a sheet passed through.
@@ -93,11 +91,10 @@ def find_ribs(
         away: Unit vectors off the mold (n_node, 3), of nodes that stick to it or are held.
         sticking: Mask (n_node,) of these nodes.
         ways: Inside the elements that the mold cuts.
-        mold_corners: Corners of the mold's triangles (n_triangle, 3, 3) [m].
-        grid: The mold's search structure.
         pull: Unit vector (3,) in which the part is pulled off the mold, along which no rib is measured as higher than
             it is; None where there is none.
     """
+    mold_corners = ways.mold_corners
     row, triangle = ways.pairs()
     held = sticking[ways.triangles].all(1)[row]
     row, triangle = row[held], triangle[held]
@@ -110,7 +107,7 @@ def find_ribs(
     reach = 2 * float(np.ptp(mold_corners, axis=(0, 1)).max())
     length = np.full(len(spots.place), reach)
     for find_ways, by_top in _ways_out(pull):
-        length = _distances_out(spots, length, find_ways(spots), by_top, mold_corners, grid)
+        length = _distances_out(spots, length, find_ways(spots), by_top, mold_corners, ways.grid)
         height = length * spots.rise
         slender = (height > _SLENDER * spots.width) & (height > _LOW * spots.side) & (length < reach)
         spots, length = spots.select(slender), length[slender]

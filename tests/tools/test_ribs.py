@@ -88,7 +88,7 @@ def _rises_between(away: Array, *, noise: float = 0.0) -> Ribs:
     grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
     ways = Ways(triangles, positions[triangles], corners, grid)
     sticks = np.ones(len(positions), bool)
-    return find_ribs(positions, np.tile(away / np.linalg.norm(away), (len(positions), 1)), sticks, ways, corners, grid)
+    return find_ribs(positions, np.tile(away / np.linalg.norm(away), (len(positions), 1)), sticks, ways)
 
 
 def test_the_lid_of_a_bottle_at_the_rim_of_a_parison_is_no_pin() -> None:
@@ -113,7 +113,7 @@ def test_the_lid_of_a_bottle_at_the_rim_of_a_parison_is_no_pin() -> None:
         positions = np.concatenate([circle(0.00749, 12, 0.2, turned), lower])
         ways = Ways(triangles, positions[triangles], lid, grid)
         inwards = -positions * [1.0, 1.0, 0.0] / np.linalg.norm(positions[:, :2], axis=1, keepdims=True)
-        assert find_ribs(positions, inwards, np.ones(24, bool), ways, lid, grid).count == 0
+        assert find_ribs(positions, inwards, np.ones(24, bool), ways).count == 0
         cut += len(ways.element)
     assert cut > 0
 
