@@ -22,6 +22,7 @@ from jaxform.model.scene import Scene
 from jaxform.results import size_field
 from jaxform.results.result import Result
 from jaxform.results.summary import explain
+from jaxform.results.tool_contact import measure_cuts
 from jaxform.runs.host import run
 from jaxform.sheet.state import Status
 
@@ -174,7 +175,8 @@ def _move_to_edges(
     best, cuts, least = sheet, (np.zeros((0, 2), np.int64), np.zeros(0)), np.inf
     for fit in range(_FITS + 1):
         scene, result = _run_pass(document, sheet, store, passes + 1 + fit)
-        ends, share, worst = size_field.cut_sides(scene, result)
+        depth, corner_share = measure_cuts(result, scene)
+        ends, share, worst = size_field.cut_sides(scene, result, depth, corner_share)
         error = size_field.mean_error(scene, result)
         deeper = worst > max(least, 1.0)
         if deeper:
@@ -184,7 +186,7 @@ def _move_to_edges(
             note(len(scene.parison.triangles), error, 0, 0.0, added)
             break
         best, cuts, least = sheet, (ends, share), worst
-        made = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result))
+        made = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result, depth))
         moves = np.linalg.norm(made.positions - sheet.positions, axis=1) / np.sqrt(np.mean(scene.tables.sheet.area))
         changed = np.unique(sheet.triangles[(moves[sheet.triangles] > 0.0).any(1)])
         still = ~np.isin(ends, changed).any(1)  # the others are as deep no more

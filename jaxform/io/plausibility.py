@@ -49,11 +49,6 @@ def motion_key(tool: Mold, name: str) -> str:
     return f"tool.{tool.name}.{name}" if tool.name else f"mold.motion.{name}"
 
 
-def offsets_of(tool: Mold, times: Array) -> Array:
-    """Displacements (n, 3) [m] of a tool at times (n,) [s]."""
-    return np.zeros((len(times), 3)) if tool.motion is None else tool.motion.offset_at(times)
-
-
 def end_of_way(scene: Scene, tool: Mold) -> float:
     """The time [s] from which on a tool rests, at most that at which the run ends."""
     end = float(scene.solver.end_time)
@@ -109,7 +104,7 @@ def _find_meeting(scene: Scene, one: ContactSurface, other: ContactSurface) -> t
         knots = np.asarray(motion.time, float)
         times += [np.linspace(0.0, min(end, float(knots[-1])), _MEETINGS), knots[(knots > 0.0) & (knots <= end)]]
     compared = np.unique(np.concatenate(times))
-    ways = [offsets_of(tool.mold, compared) for tool in (one, other)]
+    ways = [tool.mold.offset_at(compared) for tool in (one, other)]
     for time, at, there in zip(compared, *ways, strict=True):
         for edged, crossed, here, opposite in ((one, other, at, there), (other, one, there, at)):
             place = _crossing(edged, crossed, here - opposite)
@@ -261,7 +256,7 @@ def _passes_through(scene: Scene, tool: Mold) -> bool:
     if tool.motion is None:
         return False
     positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
-    shifts = offsets_of(tool, np.linspace(0.0, end_of_way(scene, tool), _TIMES))
+    shifts = tool.offset_at(np.linspace(0.0, end_of_way(scene, tool), _TIMES))
     far = shifts @ np.asarray(tool.motion.direction, float)
     first, last = shifts[np.argmin(far)], shifts[np.argmax(far)]
     sheet = make_mold(positions, triangles)
@@ -280,7 +275,7 @@ def _way_left(scene: Scene, tool: Mold) -> float:
     if tool.motion is None:
         return 0.0
     times = np.asarray(tool.motion.time, float)
-    now, last = offsets_of(tool, np.array([min(float(scene.solver.end_time), times[-1]), times[-1]]))
+    now, last = tool.offset_at(np.array([min(float(scene.solver.end_time), times[-1]), times[-1]]))
     left, longest = float(np.linalg.norm(last - now)), float(np.abs(np.asarray(tool.motion.displacement, float)).max())
     return left if left > _FARTHER * longest else 0.0
 
@@ -300,7 +295,7 @@ def _ways_from_sheet(scene: Scene, tool: Mold) -> tuple[list[float], bool]:
     normal *= (-1.0 if scene.strongest_push() < 0 else 1.0) / np.linalg.norm(normal, axis=1, keepdims=True)
     away, behind = [], True
     times = np.linspace(0.0, end_of_way(scene, tool), _TIMES if tool.motion is not None else 1)
-    for shift in offsets_of(tool, times):
+    for shift in tool.offset_at(times):
         nearest = of_tool.upper_bounds(sheet - shift).min(), of_sheet.upper_bounds(vertices + shift).min()
         away.append(float(min(nearest)))
         heights = heights_above(vertices + shift, corners.mean(1), normal)

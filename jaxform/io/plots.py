@@ -14,7 +14,6 @@ from jaxform.core.errors import format_coordinate
 from jaxform.core.pytree import parameter_ranges
 from jaxform.io import canvas
 from jaxform.io.canvas import MINIMUM, Line, PartPicture, draw, new_figure, save
-from jaxform.io.plausibility import offsets_of
 from jaxform.io.process import pressures_over_time
 from jaxform.io.scene_checks import Survey, box_size, survey
 from jaxform.io.surfaces import (
@@ -273,7 +272,7 @@ def _draw_ways(axes: Any, before: Scene, after: Scene) -> None:
     for scene, color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
         for tool, motion in _moving_tools(scene):
             time = np.linspace(0.0, float(scene.solver.end_time), 201)
-            far = offsets_of(tool, time) @ np.asarray(motion.direction, float)
+            far = tool.offset_at(time) @ np.asarray(motion.direction, float)
             friction = np.ravel(getattr(tool.contact, "friction", []))
             law = f", friction {friction[0]:.3g}" if len(friction) == 1 else ""
             axes.plot(time, 1e3 * far, color=color, linewidth=2, label=f"{tool_label(tool)} {words}{law}")

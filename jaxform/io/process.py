@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from jaxform.core.disk import atomic_path
 from jaxform.core.pytree import as_real
 from jaxform.io.canvas import ProcessHistory
-from jaxform.io.plausibility import offsets_of
 from jaxform.io.surfaces import MOLD_COLOR, tool_colors
 from jaxform.loads import RegionalLoad, TwoSidedLoad, sample_pressure
 from jaxform.model.scene import Scene
@@ -35,7 +34,7 @@ def process_history(scene: Scene, result: Result) -> ProcessHistory | None:
     if not scene.moves and not any(np.ptp(pressure) for pressure in pressures.values()) and release is None:
         return None
     displacements = {
-        tool_label(tool): offsets_of(tool, time) @ np.asarray(tool.motion.direction, float)
+        tool_label(tool): tool.offset_at(time) @ np.asarray(tool.motion.direction, float)
         for tool in tools
         if tool.motion is not None
     }

@@ -12,7 +12,6 @@ from jaxform.core.errors import format_extent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
 from jaxform.io.plausibility import (
     heights_above,
-    offsets_of,
     warn_of_images,
     warn_of_land,
     warn_of_motion,
@@ -356,7 +355,7 @@ def _warn_of_bare_around(scene: Scene, seen: Survey, file: str) -> None:
     assert scene.mold is not None
     if scene.tools or seen.changes_sign or not seen.faces or not np.any(scene.pushes()):
         return
-    rest = offsets_of(scene.mold, np.array([float(scene.solver.end_time)]))[0]
+    rest = scene.mold.offset_at(np.array([float(scene.solver.end_time)]))[0]
     walls = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
     corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
     overlap, _, bare = _overlap(corners, np.concatenate([walls, walls + rest]), seen.push)

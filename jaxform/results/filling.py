@@ -182,7 +182,7 @@ def _first_gap(scene: Scene, push: float, places: Array) -> float:
 
 def mold_offset(result: Result, scene: Scene) -> Array:
     """Displacement of the mold (3,) [m] at the end of the run; its grid is at the initial position."""
-    return np.zeros(3) if scene.motion is None else scene.motion.offset_at(float(result.time))
+    return np.zeros(3) if scene.mold is None else scene.mold.offset_at(float(result.time))
 
 
 def _sides(result: Result, scene: Scene, gap: Gap) -> Array:

@@ -26,7 +26,6 @@ from jaxform.mesh import topology
 from jaxform.mesh.volumes import longest_sides
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
-from jaxform.results.summary import measure_cuts
 from jaxform.tools.distances import Distances, interpolate, nearest_places, signed_weights, weights
 from jaxform.tools.mold import Mold
 
@@ -97,7 +96,7 @@ def _lines_at_edges(mold: Mold, number: int, scene: Scene, result: Result) -> li
     if not edges.size:
         return []
     start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
-    formed = np.asarray(result.positions, float) - (mold.vertices_at(float(scene.solver.end_time)) - vertices)[0]
+    formed = np.asarray(result.positions, float) - mold.offset_at(float(result.time))
     sides = longest_sides(formed[triangles])
     places, edge, path = _points_on_paths(vertices, edges, _STEP * float(np.median(sides)))
     found = Distances(formed, triangles, _REACH * float(sides.max())).nearest(places)
@@ -189,20 +188,24 @@ _ROUNDING = 1e-9  # of a distance, by which points are looked up farther away
 _ON_EDGE = 0.002  # of it: an element as near to the place of an edge is held there, or has a node there
 
 
-def places_at_edges(scene: Scene, result: Result) -> tuple[Array, NDArray[np.int64]]:
+def places_at_edges(scene: Scene, result: Result, depth: Array) -> tuple[Array, NDArray[np.int64]]:
     """Places on the initial sheet (n_node, 3) [m] of its nodes, moved so that those near sharp edges land on them.
 
     A node that has come to lie before an edge is moved by what lies between: its elements on that side have the stretch
     with which they landed. Of one that went past the edge, an element lies over the edge, and shows the place.
 
+    Args:
+        scene: The scene.
+        result: Its result.
+        depth: Depths (n_tool, n_element) [m] of the elements in each tool, as of `measure_cuts`.
+
     Returns:
         The places, and pairs (m, 2) of moved nodes which follow one another on an edge and have a side between them.
     """
     places, pairs = np.asarray(scene.parison.positions, float).copy(), [np.zeros((0, 2), np.int64)]
-    depth, _ = measure_cuts(result, scene)
-    for surface in scene.surfaces:
+    for surface, own_depth in zip(scene.surfaces, depth, strict=True):
         if surface.mold.contact.sticks:
-            moved, node, goal, along = _moves_to_edges(surface.mold, scene, result, depth)
+            moved, node, goal, along = _moves_to_edges(surface.mold, scene, result, own_depth)
             places[node] = moved
             pairs.append(_pairs_across_sides(scene, node, goal, along))
     return places, np.concatenate(pairs)
@@ -231,7 +234,7 @@ def _pairs_across_sides(scene: Scene, node: NDArray[np.int64], goal: Array, alon
 def _moves_to_edges(
     mold: Mold, scene: Scene, result: Result, depth: Array
 ) -> tuple[Array, NDArray[np.int64], Array, Array]:
-    """The moves onto edges of one tool, from depths (n_element,) [m] of the elements in the mold.
+    """The moves onto edges of one tool, from depths (n_element,) [m] of the elements in it.
 
     Returns:
         Places on the initial sheet (k, 3) [m] that land on the edges, the nodes (k,) which are to be there, where they
@@ -242,7 +245,7 @@ def _moves_to_edges(
     start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
     if not edges.size:
         return start[:0], np.zeros(0, np.int64), start[:0], start[:0]
-    formed = np.asarray(result.positions, float) - (mold.vertices_at(float(scene.solver.end_time)) - vertices)[0]
+    formed = np.asarray(result.positions, float) - mold.offset_at(float(result.time))
     size = _mean_at_nodes(longest_sides(formed[triangles]), triangles, np.ones(len(triangles)), len(start))
     goal, edge = _nearest_on_edges(formed, vertices, edges, _BESIDE * float(size.max()))
     near = (np.linalg.norm(goal - formed, axis=1) <= _BESIDE * size) & ~np.asarray(scene.parison.clamped)
@@ -302,26 +305,36 @@ def _nearest_on_edges(
     return places, nearest
 
 
-# Sides of elements that cut edges of the mold, at which new nodes are to be.
+# Sides of elements that cut edges of tools, at which new nodes are to be.
 
 _CUT, _CUT_OF_WALL = 0.05, 0.5  # of the first thickness, and of the wall: elements that cut deeper get a node there
 _MIDDLE = 0.3  # of a side, the least share of it on either side of a new node
 
 
-def cut_sides(scene: Scene, result: Result) -> tuple[NDArray[np.int64], Array, float]:
-    """The sides nearest to the deepest places of elements that cut the mold too deep, the deepest first.
+def cut_sides(
+    scene: Scene, result: Result, depth: Array, corner_share: Array
+) -> tuple[NDArray[np.int64], Array, float]:
+    """The sides nearest to the deepest places of elements that cut a tool too deep, the deepest first.
 
-    An element cuts an edge the deepest at one of its sides.
+    An element cuts an edge the deepest at one of its sides; one that cuts several tools counts where it is deepest.
+
+    Args:
+        scene: The scene.
+        result: Its result.
+        depth: Depths (n_tool, n_element) [m] of the elements in each tool, as of `measure_cuts`.
+        corner_share: Shares (n_tool, n_element, 3) of their corners at the deepest places.
 
     Returns:
         The ends (k, 2) of the sides, the shares (k,) of the second end at the places, and the deepest cut over the
         depth from which elements count.
     """
-    depth, corner_share = measure_cuts(result, scene)
-    first = np.asarray(scene.parison.thickness, float)[np.asarray(scene.parison.triangles)].mean(1)
-    depth = depth / np.minimum(_CUT * first, _CUT_OF_WALL * np.asarray(result.element_thickness, float))
-    order = np.argsort(-depth, kind="stable")[: np.count_nonzero(depth > 1.0)]
-    corner = (np.argmin(corner_share[order], axis=1)[:, None] + np.array([1, 2])) % 3
-    one, other = np.take_along_axis(corner_share[order], corner, axis=1).T
-    ends = np.take_along_axis(np.asarray(scene.parison.triangles, np.int64)[order], corner, axis=1)
-    return ends, np.clip(other / (one + other), _MIDDLE, 1.0 - _MIDDLE), float(depth.max())
+    triangles = np.asarray(scene.parison.triangles, np.int64)
+    tool, element = depth.argmax(0), np.arange(len(triangles))
+    first = np.asarray(scene.parison.thickness, float)[triangles].mean(1)
+    ratio = depth.max(0) / np.minimum(_CUT * first, _CUT_OF_WALL * np.asarray(result.element_thickness, float))
+    order = np.argsort(-ratio, kind="stable")[: np.count_nonzero(ratio > 1.0)]
+    shares = corner_share[tool, element][order]
+    corner = (np.argmin(shares, axis=1)[:, None] + np.array([1, 2])) % 3
+    one, other = np.take_along_axis(shares, corner, axis=1).T
+    ends = np.take_along_axis(triangles[order], corner, axis=1)
+    return ends, np.clip(other / (one + other), _MIDDLE, 1.0 - _MIDDLE), float(ratio.max())

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from numpy.typing import NDArray
 
 from jaxform.core.compilation import with_standard_promotion
 from jaxform.core.errors import InputError, format_place
@@ -20,7 +19,7 @@ from jaxform.mesh.topology import components
 from jaxform.mesh.volumes import longest_sides
 from jaxform.model.replacement import describe_out_of_range
 from jaxform.model.scene import Scene
-from jaxform.results.filling import measure_filling, mold_offset, warnings_of_filling
+from jaxform.results.filling import measure_filling, warnings_of_filling
 from jaxform.results.part import restrict_to_part, rim_elements, thinnest_element, warnings_of_part
 from jaxform.results.recovery import thinnest_recovered
 from jaxform.results.result import Energy, Result, Seconds, warnings_of_no_work
@@ -35,7 +34,7 @@ from jaxform.results.tool_contact import (
 )
 from jaxform.sheet.state import Status
 from jaxform.tools.mold import Mold
-from jaxform.tools.penetration import Penetration, element_depths, penetration, pull_direction, resting_directions
+from jaxform.tools.penetration import Penetration
 
 # The status of a run in words.
 
@@ -160,7 +159,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     }
     facts = _facts(result, scene)
     molds = [] if scene.mold is None else [(scene.mold, beyond)]
-    each = [*molds, *((tool, measure_tool_penetration(result, scene, k)) for k, tool in enumerate(scene.tools))]
+    others = enumerate(scene.tools, len(molds))
+    each = [*molds, *((tool, measure_tool_penetration(result, scene, number)) for number, tool in others)]
     tools = [
         entry
         | {
@@ -409,33 +409,9 @@ def _warnings_of_cut_edges(
 
 def measure_penetration(result: Result, scene: Scene) -> Penetration:
     """Penetration of the formed part into the mold; zero where there is no mold."""
-    positions = np.asarray(result.positions, float)
-    if scene.mold is None or not np.isfinite(positions).all():
+    if scene.mold is None:
         return Penetration(0.0, 0.0, np.zeros(3))
-    offset, compared = mold_offset(result, scene), _compared_with_mold(result, scene)
-    pull = pull_direction(np.asarray(scene.parison.positions, float), compared[1], scene.strongest_push())
-    found = penetration(*compared, grid=scene.tables.grid, pull=pull)
-    ribs = found.ribs._replace(place=found.ribs.place + offset)
-    return found._replace(place=found.place + offset, ribs=ribs)
-
-
-def measure_cuts(result: Result, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Depths (n_element,) [m] of elements in the mold, and shares (n_element, 3) of corners at the deepest places."""
-    count = len(result.element_thickness)
-    depth, share = np.zeros(count), np.full((count, 3), 1.0 / 3.0)
-    if scene.mold is not None and np.isfinite(np.asarray(result.positions)).all():
-        element = np.flatnonzero(result.used)
-        depth[element], share[element] = element_depths(*_compared_with_mold(result, scene), grid=scene.tables.grid)
-    return depth, share
-
-
-def _compared_with_mold(result: Result, scene: Scene) -> tuple[Any, Any, Any, Mold, Any]:
-    """The first arguments of `penetration`: of the part and the mold, in whose frame the nodes are."""
-    assert scene.mold is not None
-    positions, triangles = np.asarray(result.positions, float), np.asarray(result.triangles)[np.asarray(result.used)]
-    start = np.asarray(scene.parison.positions, float)
-    resting = resting_directions(start, positions, triangles, scene.strongest_push())
-    return positions - mold_offset(result, scene), triangles, np.asarray(result.wall), scene.mold, resting
+    return measure_tool_penetration(result, scene, 0)
 
 
 def add_filling(result: Result, scene: Scene) -> Result:

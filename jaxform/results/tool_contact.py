@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 from jaxform.tools.mold import Mold
-from jaxform.tools.penetration import Penetration, penetration
+from jaxform.tools.penetration import (
+    Penetration,
+    element_depths,
+    penetration,
+    pull_direction,
+    resting_directions,
+)
+from jaxform.tools.search import SearchGrid
 
 Array = NDArray[np.float64]
 
@@ -207,14 +214,47 @@ def _energies_by_tool(whole: jax.Array, split: Sequence[jax.Array], sources: lis
 
 
 def measure_tool_penetration(result: Result, scene: Scene, number: int) -> Penetration:
-    """Penetration of the part into one of `Scene.tools`, at its final position."""
-    tool, grid, positions = scene.tools[number], scene.tables.tool_grids[number], np.asarray(result.positions, float)
-    if result.tool_wall is None or not np.isfinite(positions).all():
+    """Penetration of the part into one of `Scene.surfaces`, at its final position."""
+    if not np.isfinite(np.asarray(result.positions)).all():
         return Penetration(0.0, 0.0, np.zeros(3))
-    motion, first = tool.motion, int(scene.mold is not None)
-    offset = np.zeros(3) if motion is None else motion.offset_at(float(result.time))
-    wall = np.where(np.asarray(result.tool) == first + number, np.asarray(result.tool_wall), 0)
-    found = penetration(
-        positions - offset, np.asarray(result.triangles)[np.asarray(result.used)], wall, tool, grid=grid
-    )
+    compared, offset, grid = _compare_with_tool(result, scene, number)
+    pull = None
+    if scene.surfaces[number].mold is scene.mold:
+        pull = pull_direction(np.asarray(scene.parison.positions, float), compared[1], scene.strongest_push())
+    found = penetration(*compared, grid=grid, pull=pull)
     return found._replace(place=found.place + offset, ribs=found.ribs._replace(place=found.ribs.place + offset))
+
+
+def measure_cuts(result: Result, scene: Scene) -> tuple[Array, Array]:
+    """Depths (n_tool, n_element) [m] of elements in each of `Scene.surfaces`, at its final position.
+
+    Also the shares (n_tool, n_element, 3) of the elements' corners at the deepest places.
+    """
+    count = len(scene.surfaces), len(result.element_thickness)
+    depth, share = np.zeros(count), np.full((*count, 3), 1.0 / 3.0)
+    if np.isfinite(np.asarray(result.positions)).all():
+        element = np.flatnonzero(result.used)
+        for number in range(len(scene.surfaces)):
+            compared, _, grid = _compare_with_tool(result, scene, number)
+            depth[number, element], share[number, element] = element_depths(*compared, grid=grid)
+    return depth, share
+
+
+def _compare_with_tool(
+    result: Result, scene: Scene, number: int
+) -> tuple[tuple[Array, Any, Any, Mold, Array], Array, SearchGrid]:
+    """The first arguments of `penetration`, of the part and one of `Scene.surfaces`, in whose frame the nodes are.
+
+    Also the displacement (3,) [m] of that frame, and the tool's search structure.
+    """
+    tool, grid, _ = scene.surfaces[number]
+    positions, triangles = np.asarray(result.positions, float), np.asarray(result.triangles)[np.asarray(result.used)]
+    offset = tool.offset_at(float(result.time))
+    resting = np.zeros_like(positions)
+    if tool is scene.mold:
+        wall = np.asarray(result.wall)
+        start = np.asarray(scene.parison.positions, float)
+        resting = resting_directions(start, positions, triangles, scene.strongest_push())
+    else:
+        wall = np.where(np.asarray(result.tool) == number, np.asarray(result.tool_wall), 0)
+    return (positions - offset, triangles, wall, tool, resting), offset, grid

@@ -43,6 +43,10 @@ class Mold:
     temperature: jax.Array | None = None
     heat_transfer: jax.Array | None = None
 
+    def offset_at(self, time: ArrayLike) -> NDArray[np.float64]:
+        """The displacement (3,) [m] from where it starts at a time [s], or (n, 3) at times (n,); on the host."""
+        return np.zeros((*np.shape(time), 3)) if self.motion is None else self.motion.offset_at(time)
+
     def vertices_at(self, time: float) -> NDArray[np.float64]:
         """The vertices (n_vertex, 3) [m] at a time [s]; on the host."""
         places = np.asarray(self.vertices, float)

@@ -23,6 +23,7 @@ from jaxform.mechanics.membrane import vector
 from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.topology import HOLDING_FACETS, SHARPEST_FACETS, sharp_edges
 from jaxform.results import size_field, summary
+from jaxform.results.tool_contact import measure_cuts
 from jaxform.tools.surface_walk import ContactSurface
 from tests import scenes
 
@@ -381,17 +382,75 @@ def test_nodes_beside_a_ridge_are_moved_and_every_element_has_the_exact_wall(mon
 def test_sides_of_elements_that_cut_a_rib_are_found_with_the_deepest_place() -> None:
     scene = over_rib(16)
     result = jaxform.run(scene)
-    assert not len(size_field.cut_sides(scene, result)[0])  # the sides are held at its edges
+    held = size_field.cut_sides(scene, result, *measure_cuts(result, scene))
+    assert not len(held[0])  # the sides are held at its edges
     formed = np.asarray(result.positions) + np.array([0.0, 0.0, 5e-4])
     lower = dataclasses.replace(result, positions=jnp.asarray(formed))
-    ends, share, worst = size_field.cut_sides(scene, lower)
+    depth, corner_share = measure_cuts(lower, scene)
+    ends, share, worst = size_field.cut_sides(scene, lower, depth, corner_share)
     assert worst > 1.0
     places = formed[ends[:, 0]] + share[:, None] * (formed[ends[:, 1]] - formed[ends[:, 0]])
     assert len(ends) == 2
     assert (places[:, 0] > RIB[0]).all() and (places[:, 0] < RIB[1]).all()
-    depth, _ = summary.measure_cuts(lower, scene)
-    np.testing.assert_allclose(np.sort(depth)[-2:], 5e-4, rtol=0.1)
+    np.testing.assert_allclose(np.sort(depth[0])[-2:], 5e-4, rtol=0.1)
     np.testing.assert_allclose(depth.max(), summary.measure_penetration(lower, scene).elements)
+
+
+def _cut(scene: jaxform.Scene) -> tuple[jaxform.Result, jaxform.Result]:
+    """The result of the strip over a rib, and one that is 0.5 mm lower, so that elements cut the rib."""
+    result = jaxform.run(scene)
+    return result, dataclasses.replace(result, positions=result.positions + jnp.array([0.0, 0.0, 5e-4]))
+
+
+def _with_tools(scene: jaxform.Scene, mold: jaxform.Mold | None, *tools: jaxform.Mold) -> jaxform.Scene:
+    """A scene with another mold and with tools."""
+    return jaxform.build_scene(
+        parison=scene.parison,
+        material=scene.material,
+        pressure=scene.pressure,
+        solver=scene.solver,
+        mold=mold,
+        tools=tools,
+        fill=False,
+    )
+
+
+@pytest.mark.parametrize("travel", [0.0, 0.02])
+def test_elements_cut_a_tool_that_is_no_mold_as_deep_where_it_has_moved_to(travel: float) -> None:
+    scene = over_rib(16)
+    result, lower = _cut(scene)
+    expected = measure_cuts(lower, scene)
+    motion = jaxform.make_motion([1.0, 0.0, 0.0], [0.0, 0.04], [0.0, travel])
+    tool = jaxform.make_mold(*rib(1e-3), motion=motion if travel else None, name="plug")
+    beside = _with_tools(scene, None, tool)
+    moved = lower.positions + jnp.array([travel, 0.0, 0.0])
+    on_tool = dataclasses.replace(lower, positions=moved, wall=0 * result.wall, tool_wall=result.wall)
+    found = measure_cuts(on_tool, beside)
+    np.testing.assert_allclose(found[0], expected[0], atol=1e-9)
+    assert found[0].max() > 4e-4
+    ends, share, worst = size_field.cut_sides(beside, on_tool, *found)
+    np.testing.assert_array_equal(ends, size_field.cut_sides(scene, lower, *expected)[0])
+    assert len(ends) == 2 and worst > 1.0 and share.shape == (2,)
+
+
+def test_elements_that_cut_the_mold_move_no_node_onto_an_edge_of_a_tool_that_they_do_not_cut() -> None:
+    scene = over_rib(16)
+    _, lower = _cut(scene)
+    x, _, z = np.asarray(lower.positions)[6]  # of an element that cuts the rib
+    # A gable beside the sheet, whose edge ends before that node, which sees it from between both faces.
+    rows = [(x - 0.01, z - 0.01), (x - 1e-4, z), (x + 0.01, z - 0.01)]
+    vertices = np.array([[x, y, z] for x, z in rows for y in (-0.05, -1e-6)])
+    gable = jaxform.make_mold(vertices, np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4]]), name="gable")
+    alone = size_field.places_at_edges(scene, lower, measure_cuts(lower, scene)[0])
+    both = _with_tools(scene, scene.mold, gable)
+    result = dataclasses.replace(lower, tool_wall=0 * lower.wall)
+    depth = measure_cuts(result, both)[0]
+    assert depth[0].max() > 4e-4 and not depth[1].any()
+    for found, expected in zip(size_field.places_at_edges(both, result, depth), alone, strict=True):
+        np.testing.assert_array_equal(found, expected)
+    # With the depths in the mold taken for those in the gable, the node would be moved.
+    wrong = size_field.places_at_edges(both, result, depth[[0, 0]])[0]
+    assert np.flatnonzero((wrong != alone[0]).any(1)).size
 
 
 def test_a_node_before_an_edge_is_moved_though_an_element_beyond_it_passes_the_edge_closely() -> None:
@@ -403,7 +462,7 @@ def test_a_node_before_an_edge_is_moved_though_an_element_beyond_it_passes_the_e
         place[row + 5, ::2], place[row + 6, ::2], place[row + 7, ::2] = (0.0315, 0.03), (0.0326, 1e-3), (0.0364, 1e-3)
         stuck[row + 6] = stuck[row + 7] = True
     formed = dataclasses.replace(result, positions=jnp.asarray(place), stuck=jnp.asarray(stuck))
-    goal, _ = size_field.places_at_edges(scene, formed)
+    goal, _ = size_field.places_at_edges(scene, formed, measure_cuts(formed, scene)[0])
     start = np.asarray(scene.parison.positions)
     # 0.1 of the 3.8 mm between these nodes, which were 6.25 mm apart.
     np.testing.assert_allclose((goal - start)[before, 0], -0.1 / 3.8 * 6.25e-3, rtol=1e-6)

@@ -115,6 +115,7 @@ def test_a_clamped_rim_on_the_edge_of_a_mold_is_the_line_there() -> None:
         positions=scaled + height[:, None] * [0.0, 0.0, 1.0],
         stuck=np.ones(len(radius), bool),
         tool=np.where(sheet.clamped, -1, 0),
+        time=_END,
     )
     outer = [line for line in edge_lines(scene, result) if np.linalg.norm(line, axis=1).max() > 0.8]
     np.testing.assert_allclose(np.linalg.norm(np.concatenate(outer), axis=1), 1.0, atol=5e-3)
