@@ -195,6 +195,6 @@ _STATUSES = """## Exit status
 |---|---|
 | 0 | done |
 | 2 | the input was refused, in one line that names file, key, value and hint; or the system refused a file or memory |
-| 3 | the simulation stopped early, or a search did not keep a limit; results so far are written |
+| 3 | the run stopped early, the part does not fill its mold, or a search did not keep a limit; results are written |
 | 130 | interrupted; results so far are written |
 """

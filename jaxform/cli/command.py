@@ -1,7 +1,8 @@
 """The command: `jaxform scenes`, `simulate`, `optimize`, `check` and others. It alone knows both jaxform and optimize.
 
 Exit status: 0 done; 2 bad input, with one line on standard error; 3 the simulation stopped early, with what was
-computed written, or a search keeps not all limits; 130 interrupted. Heavy imports wait until a command needs them.
+computed written, the part does not fill its mold, or a search does not keep all limits; 130 interrupted. Heavy imports
+wait until a command needs them.
 """
 
 from __future__ import annotations

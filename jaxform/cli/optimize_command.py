@@ -160,22 +160,12 @@ def _start_words(row: dict[str, Any]) -> str:
 
 
 def _exit_status(design: Any) -> int:
-    """The exit status of a design; an unfilled mold is no failure of the search, only a warning, as in its summary."""
-    from jaxform.results.summary import explain
-    from jaxform.sheet.state import Status
-
-    if int(design.result.status) == Status.UNFILLED:
-        session.warn(explain(design.result))
-        return _limits_status(design)
-    return session.exit_status(design.result) or _limits_status(design)
-
-
-def _limits_status(design: Any) -> int:
-    """The exit status by limits: stopped where a design breaks one, because the search ended before it kept all."""
+    """The exit status: stopped where `simulate` of the best design would be, or where that breaks a limit."""
+    status = session.exit_status(design.result)
     if design.broken:
         print(f"jaxform: {design.broken}", file=sys.stderr)
         return session.STOPPED
-    return session.DONE
+    return status
 
 
 def _progress_words(row: dict[str, Any]) -> str:

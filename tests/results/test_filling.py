@@ -181,19 +181,23 @@ iterations = 2
 """
 
 
-def test_a_search_passes_through_designs_that_do_not_fill_and_its_summary_says_it(
+def test_a_search_passes_through_designs_that_do_not_fill_and_ends_with_the_status_of_its_best_one(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     text = scenes.FILE.replace("fill = false", "").replace("end_time = 0.05", "end_time = 0.01")
     (tmp_path / "scene.toml").write_text(text)
     (tmp_path / "study.toml").write_text(STUDY)
     out = tmp_path / "out"
-    assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(out), "--quiet"]) == 0
+    assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(out), "--quiet"]) == 3
     rows = (out / "history.csv").read_text().splitlines()
     assert len(rows) > 2 and all("inf" not in row for row in rows)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["status"].startswith("the mold is not filled")
-    assert "jaxform: warning: the mold is not filled" in capfd.readouterr().err
+    assert "jaxform: the mold is not filled" in capfd.readouterr().err
+    assert command.main(["simulate", str(out / "best.toml"), "--out", str(out / "again"), "--quiet"]) == 3
+    # A mold that need not be filled is no failure of either.
+    (tmp_path / "scene.toml").write_text(text.replace("segments = ", "fill = false\nsegments = "))
+    assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(out), "--quiet", "--force"]) == 0
 
 
 def test_a_mold_that_was_never_reached_is_warned_of_whatever_the_status(
