@@ -69,6 +69,8 @@ def sweep(arguments: argparse.Namespace) -> int:
     if not arguments.resume:
         shutil.rmtree(folder / DESIGNS, ignore_errors=True)  # of another sweep, with --force
     (folder / DESIGNS).mkdir(exist_ok=True)
+    if task.meshes:
+        say(task.meshes)
     kept = records.Records(folder, task.paths, task.measures, arguments.resume)
     with _executor(arguments, len(found)) as (executor, setting), _bar(not arguments.quiet, len(found)) as show:
         try:
@@ -98,10 +100,14 @@ class _Task:
         measures: Columns of their results, with units.
         function: The function that a worker calls.
         argument: Its argument for a design.
+        meshes: A sentence on their adapted meshes; empty without any.
     """
 
-    def __init__(self, designs: list[Any], paths: list[str], measures: dict[str, str], function: Callable[..., Any]):
-        self.designs, self.paths, self.measures, self.function = designs, paths, measures, function
+    def __init__(self, table: Any, designs: list[Any], measures: dict[str, str], function: Callable[..., Any]):
+        from jaxform.sweeps.designs import describe_meshes
+
+        self.designs, self.paths, self.measures, self.function = designs, table.paths, measures, function
+        self.meshes = describe_meshes(table, designs)
         self.study: Any = None
 
     def argument(self, design: Any, setting: Any) -> Any:
@@ -134,11 +140,11 @@ def _task(arguments: argparse.Namespace) -> _Task:
         search = optimize_command.search_of(study, arguments.source)
         about = f"{about} {optimize_command.search_digest(search[2])}"
         made = designs.make_designs(table, scene, base, about)
-        task = _Task(made, table.paths, MEASURES | optimize_command.MEASURES, optimize_command.optimize_design)
+        task = _Task(table, made, MEASURES | optimize_command.MEASURES, optimize_command.optimize_design)
         task.study = search
         return task
     made = designs.make_designs(table, scene, base, about)
-    return _Task(made, table.paths, MEASURES, simulate_design)
+    return _Task(table, made, MEASURES, simulate_design)
 
 
 @contextlib.contextmanager
@@ -214,7 +220,7 @@ def _finish(
         "units": {column: units.get(column, "") for column in columns},
         "variables": task.paths,
     }
-    write_json(folder / "sweep.json", facts)
+    write_json(folder / "sweep.json", facts | ({"meshes": task.meshes} if task.meshes else {}))
     drawn = report.draw_all(folder, task.paths, complete_rows(rows, task.designs, task.paths), units)
     report.write_report(folder, facts, columns, rows, drawn)
     if not parquet and not arguments.quiet:

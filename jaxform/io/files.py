@@ -57,6 +57,7 @@ class SceneDocument:
         data: Its tables, as in the file.
         model: The validated tables, with defaults filled in.
         path: Path of the file; None for a scene made of tables.
+        mesh_of: The scene to whose wall `parison.adapt` adapts the mesh; None if it is this one.
     """
 
     file: str
@@ -64,6 +65,7 @@ class SceneDocument:
     data: dict[str, Any]
     model: schema.SceneFile
     path: Path | None = None
+    mesh_of: SceneDocument | None = None
 
     @property
     def name(self) -> str:
@@ -72,7 +74,7 @@ class SceneDocument:
 
     def __reduce__(self) -> Any:
         """A copy for another process: its tables, which are validated again there."""
-        return validate_scene, (self.data, self.file, self.folder, self.path)
+        return validate_scene, (self.data, self.file, self.folder, self.path, self.mesh_of)
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,9 @@ def read_scene(name_or_path: str | Path, folder: Path | None = None) -> SceneDoc
     return validate_scene(data, file, path.resolve().parent, path)
 
 
-def validate_scene(tables: dict[str, Any], file: str, folder: Path, path: Path | None = None) -> SceneDocument:
+def validate_scene(
+    tables: dict[str, Any], file: str, folder: Path, path: Path | None = None, mesh_of: SceneDocument | None = None
+) -> SceneDocument:
     """The validated tables of a scene.
 
     Args:
@@ -125,6 +129,7 @@ def validate_scene(tables: dict[str, Any], file: str, folder: Path, path: Path |
         file: Name in messages.
         folder: Base of relative paths.
         path: Path of the file; None for a scene made of tables.
+        mesh_of: The scene to whose wall an adapted mesh is adapted; None if it is this one.
 
     Raises:
         InputError: A key or value is wrong.
@@ -132,7 +137,7 @@ def validate_scene(tables: dict[str, Any], file: str, folder: Path, path: Path |
     import_models_of(tables, folder, file)
     if isinstance(tables.get("refinement"), dict):
         tables = tables | {"refinement": current_keys("refinement", tables["refinement"], file)}
-    return SceneDocument(file, folder, tables, validate(schema.SceneFile, tables, file), path)
+    return SceneDocument(file, folder, tables, validate(schema.SceneFile, tables, file), path, mesh_of)
 
 
 def read_study(name_or_path: str | Path) -> StudyDocument:

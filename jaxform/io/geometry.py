@@ -67,7 +67,7 @@ def build_sheet(
         return sheet
     from jaxform.io.adaptation import adapt_sheet  # runs scenes, whose sheets are made here
 
-    return adapt_sheet(document, sheet, store)
+    return adapt_sheet(document.mesh_of or document, sheet, store)
 
 
 def _unmeshed_sheet(document: SceneDocument, store: Store | None, find_mold: Callable[[], Mold | None]) -> shapes.Sheet:

@@ -61,6 +61,8 @@ def write_scene(
 def keep_scene(document: SceneDocument, folder: str | Path, name: str = "simulated.toml") -> Path:
     """Writes a scene file as it is, but for its paths: it runs from its new folder, and keeps its comments.
 
+    One that is simulated on the adapted mesh of another scene names that mesh, which is written beside it.
+
     Args:
         document: The scene.
         folder: Folder to write to.
@@ -69,6 +71,8 @@ def keep_scene(document: SceneDocument, folder: str | Path, name: str = "simulat
     Returns:
         The path of the scene file.
     """
+    if document.mesh_of is not None:
+        return write_scene(document, {}, folder, name)
     data, moved = _relocate_paths(document)
     text = disk.read_text(document.path) if document.path is not None else ""
     if "name" not in document.data:

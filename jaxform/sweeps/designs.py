@@ -265,7 +265,49 @@ def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None
 def _document(
     table: Rows, values: Mapping[str, Any], read: Callable[..., Any], name: str, folder: Path | None
 ) -> SceneDocument:
-    """The scene of a row, validated."""
+    """The scene of a row, validated; an adapted mesh is that of the scene with those values that change a shape."""
+    document = _apply_values(table, values, read, name, folder)
+    shaping = {path: value for path, value in values.items() if path == SCENE or _changes_shape(path)}
+    if document.model.parison.adapt is None or len(shaping) == len(values):
+        return document
+    try:
+        return dataclasses.replace(document, mesh_of=_apply_values(table, shaping, read, name, folder))
+    except InputError:
+        return document  # without its other values the scene is none
+
+
+_SHAPES = ("parison", "mold", "tool")
+_NO_SHAPE = {"thickness", "temperature", "clamp_until", "contact", "friction", "fill", "heat_transfer", "time"}
+"""Keys of these sections that change neither the sheet's mesh nor the shape of tools, or where they come to lie."""
+
+
+def _changes_shape(path: str) -> bool:
+    """True if a value at a path changes the shape of the sheet or of tools, or how its mesh is made."""
+    first, *steps = parse_path(path)
+    return first in _SHAPES and _NO_SHAPE.isdisjoint(steps)
+
+
+def describe_meshes(table: Rows, designs: Sequence[DesignRow]) -> str:
+    """A sentence on the adapted meshes that designs are simulated on; empty where no scene asks for one."""
+    documents = [design.document for design in designs if design.document is not None]
+    adapted = [one.mesh_of or one for one in documents if one.model.parison.adapt is not None]
+    if not adapted:
+        return ""
+    count = len({_determining_data(one) for one in adapted})
+    if count == 1:
+        return f"one mesh for all {len(adapted)} designs, adapted to the scene's wall (parison.adapt)"
+    columns = [path for path in table.paths if path == SCENE or _changes_shape(path)]
+    return (
+        f"{count} meshes for {len(adapted)} designs: each shape of sheet and tools ({', '.join(columns)}) has its own, "
+        "adapted to its wall with the scene's other values (parison.adapt); results of different meshes also differ by "
+        "the errors of these"
+    )
+
+
+def _apply_values(
+    table: Rows, values: Mapping[str, Any], read: Callable[..., Any], name: str, folder: Path | None
+) -> SceneDocument:
+    """The scene of this name with values of a row, validated."""
     file, path_of_scene, tables = read(name, folder)
     data = copy.deepcopy(tables)
     for one, other in [pair for given in _ALTERNATIVES for pair in (given, given[::-1])]:
@@ -301,11 +343,18 @@ def _digest(
     if document is None:
         digest.update(json.dumps([str(name), values], sort_keys=True, default=str).encode())
         return digest.hexdigest()[:16]
-    data = {key: value for key, value in document.data.items() if key not in ("name", "description")}
-    digest.update(json.dumps(data, sort_keys=True, default=str).encode())
-    for path in scene_rewriting.referenced_files(document):
-        digest.update(hashed(path).encode())
+    for one in (document, document.mesh_of):
+        if one is not None:
+            digest.update(_determining_data(one).encode())
+            for path in scene_rewriting.referenced_files(one):
+                digest.update(hashed(path).encode())
     return digest.hexdigest()[:16]
+
+
+def _determining_data(document: SceneDocument) -> str:
+    """The tables of a scene that determine its result, as text."""
+    data = {key: value for key, value in document.data.items() if key not in ("name", "description")}
+    return json.dumps(data, sort_keys=True, default=str)
 
 
 def _file_digest(path: Path) -> str:

@@ -112,13 +112,14 @@ _LEFT_OUT = {"parison": ("thickness", "temperature", "radius", "size"), "refinem
 
 
 def _kind(document: SceneDocument) -> str:
-    """The kind of a document's scene, on which the small programs that build and measure it depend."""
-    data = document.data
+    """The kind of a document's scene, on which the small programs that build and measure it depend, and its mesh."""
+    data, shared = document.data, document.mesh_of
     tables = {
         name: {key: value for key, value in data.get(name, {}).items() if key not in left}
         for name, left in _LEFT_OUT.items()
     }
-    return json.dumps([tables, sorted(data), data["material"].get("model")], sort_keys=True, default=str)
+    mesh = [] if shared is None else [shared.data]
+    return json.dumps([tables, sorted(data), data["material"].get("model"), *mesh], sort_keys=True, default=str)
 
 
 @contextlib.contextmanager

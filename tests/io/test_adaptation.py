@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
+import pickle
 import re
 import sys
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +29,7 @@ from jaxform.io import adaptation, files, geometry, scene_rewriting
 from jaxform.mesh import meshes
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
+from jaxform.sweeps import designs, evaluation
 
 pytest.importorskip("mmgpy")
 
@@ -210,6 +214,30 @@ def test_a_best_design_keeps_the_mesh_that_it_was_found_on(tmp_path: Path) -> No
     np.testing.assert_array_equal(again.clamped, sheet.clamped)
     np.testing.assert_array_equal(again.fixed, sheet.fixed)
     np.testing.assert_allclose(files.build(best).parison.thickness, thickness, rtol=1e-12)
+
+
+def test_designs_of_a_sweep_are_simulated_on_one_mesh_which_their_folders_have(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = _write(tmp_path, "adapt = { elements = 200, passes = 1 }", elements=60)
+    (tmp_path / "table.csv").write_text("material.c\n1.0e6\n1.2e6\n1.5e6\n")
+    made, make = list[int](), adaptation._make
+    monkeypatch.setattr(adaptation, "_make", lambda *given: made.append(1) or make(*given))
+    monkeypatch.setattr(adaptation, "_recent", {})
+    setting, results = evaluation.Setting(client=evaluation.this_process()), list[np.ndarray]()
+    for design in designs.make_designs(designs.read_table(tmp_path / "table.csv"), path):
+        outcome = evaluation.simulate_design((pickle.loads(pickle.dumps(designs.name_scene(design))), setting))
+        assert outcome.status == "ok"
+        with zipfile.ZipFile(io.BytesIO(outcome.value[1])) as archive:
+            archive.extractall(tmp_path / str(design.number))
+        scene = files.read_scene(tmp_path / str(design.number) / "simulated.toml")
+        results.append(geometry.build_sheet(scene).positions)
+        # The folder has all that its scene needs.
+        assert scene.model.parison.adapt is None and scene.data["material"]["c"] == design.values["material.c"]
+    assert len(made) == 1
+    own = geometry.build_sheet(files.read_scene(path)).positions
+    for positions in results:
+        np.testing.assert_array_equal(positions, own)
 
 
 def test_by_default_the_mesh_has_no_fewer_elements_than_the_first(

@@ -195,6 +195,40 @@ def test_a_design_is_recognised_by_its_content(tmp_path: Path) -> None:
         assert _designs(tmp_path, "material.c\n1e5\n", change)[0].digest != first.digest
 
 
+ADAPTED = scenes.FILE.replace("[material]", "adapt = {}\n[material]", 1)
+
+
+@pytest.mark.parametrize(
+    ("table", "meshes", "columns"),
+    [
+        ("material.c,parison.thickness,mold.friction\n1e5,,\n2e5,2e-3,\n,1e-3,0.2\n,,\n", 1, ""),
+        ("pressure.value[1],solver.end_time\n1e4,0.04\n,\n", 1, ""),
+        ("material.c,mold.profile[0][1]\n1e5,0.06\n2e5,0.06\n1e5,0.05\n2e5,0.05\n", 2, "mold.profile[0][1]"),
+        ("parison.radius,parison.adapt.elements\n0.05,300\n0.06,300\n,400\n", 3, "parison.radius, parison.adapt.el"),
+    ],
+)
+def test_designs_of_one_shape_share_an_adapted_mesh(tmp_path: Path, table: str, meshes: int, columns: str) -> None:
+    contact = (
+        ADAPTED.replace("[mold]", '[mold]\ncontact = "coulomb"\nfriction = 0.1') if "friction" in table else ADAPTED
+    )
+    made = _designs(tmp_path, table, contact)
+    adapted = {repr(document.mesh_of or document) for document in (one.document for one in made) if document}
+    assert len(adapted) == meshes
+    sentence = designs.describe_meshes(designs.read_table(tmp_path / "table.csv"), made)
+    assert sentence.startswith("one mesh for all " if meshes == 1 else f"{meshes} meshes for {len(made)} designs: ")
+    assert columns in sentence
+
+
+def test_a_design_on_a_shared_mesh_is_another_where_the_scene_of_that_mesh_changes(tmp_path: Path) -> None:
+    (plain,) = _designs(tmp_path, "material.c\n1e5\n")
+    assert designs.describe_meshes(designs.read_table(tmp_path / "table.csv"), [plain]) == ""
+    first, again, other = (
+        _designs(tmp_path, "material.c\n1e5\n", scene)[0].digest
+        for scene in (ADAPTED, ADAPTED, ADAPTED.replace("c = 0.2e6", "c = 0.3e6"))
+    )
+    assert first == again != other
+
+
 def test_units_are_those_of_the_scene_file(tmp_path: Path) -> None:
     model = _model(_designs(tmp_path, "material.c\n1e5\n")[0])
     units = {
