@@ -83,8 +83,9 @@ def wall(result: Result, scene: Scene, ax: Any = None, **style: Any) -> Any:
 
 
 def sheet(scene: Scene, values: ArrayLike | None = None, ax: Any = None, *, label: str = "", bar: bool = True) -> Any:
-    """Draws values at the nodes over the initial sheet, seen along its normal; by default the initial thickness.
+    """Draws values at the nodes over the initial sheet, by default the initial thickness.
 
+    A sheet is seen along its shortest side; one that hides itself then, as a tube, is unrolled about its longest.
     Values of both signs have colours that are white at 0.
 
     Args:
@@ -104,18 +105,15 @@ def sheet(scene: Scene, values: ArrayLike | None = None, ax: Any = None, *, labe
     if values is None:
         values, label = 1e3 * np.asarray(scene.parison.thickness, float), label or "initial thickness [mm]"
     numbers = np.asarray(values, float)
-    places, triangles = 1e3 * np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
-    if numbers.shape != (len(places),):
-        problem = f"needs one value per node: {len(places)}, not {numbers.shape}"
+    count = len(scene.parison.positions)
+    if numbers.shape != (count,):
+        problem = f"needs one value per node: {count}, not {numbers.shape}"
         raise InputError(problem, "give as many as `scene.parison.thickness` has", "values")
-    first, second = np.sort(np.argsort(np.ptp(places, axis=0))[1:])
     colors: dict[str, Any] = {"cmap": _PLAIN}
     if numbers.min() < 0.0 < numbers.max():
         most = np.abs(numbers).max()
         colors = {"cmap": _SIGNED, "vmin": -most, "vmax": most}
-    drawn = ax.tripcolor(places[:, first], places[:, second], triangles, numbers, shading="gouraud", **colors)
-    ax.set(xlabel=f"{'xyz'[first]} [mm]", ylabel=f"{'xyz'[second]} [mm]", aspect="equal")
-    ax.grid(False)
+    drawn = surfaces.draw_map(ax, scene, numbers, **colors)
     if bar:
         ax.figure.colorbar(drawn, ax=ax, label=label)
     return ax

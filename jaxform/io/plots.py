@@ -22,8 +22,8 @@ from jaxform.io.surfaces import (
     color_range,
     counted_elements,
     distinguishable_points,
+    draw_map,
     hangs_before,
-    is_flat,
     mirror_points,
     part_view,
     sheet_view,
@@ -297,10 +297,10 @@ def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
 def _designed_field(before: Scene, after: Scene) -> tuple[str, str] | None:
     """Key and label of the field over the sheet that was changed; None without one, or where the thickness was.
 
-    The thickness of a flat sheet is a field where it is none of the place along which it would be drawn.
+    The thickness is a field where it is none of the place along which it would be drawn.
     """
     if not np.array_equal(before.parison.thickness, after.parison.thickness):
-        varies = is_flat(after) and varies_across(_places_along(after)[0], np.asarray(after.parison.thickness, float))
+        varies = varies_across(_places_along(after)[0], np.asarray(after.parison.thickness, float))
         return ("parison.thickness", "initial thickness [mm]") if varies else None
     varying = {f"material.{name}": name for name, values in after.material.zones.items() if values.ndim == 1}
     units = {name: allowed.unit for name, allowed in parameter_ranges(after.material).items()}
@@ -323,13 +323,10 @@ def _places_along(scene: Scene) -> tuple[Array, str]:
 
 def _draw_field(figure: Any, axes: Any, scene: Scene, key: str, words: str) -> None:
     """A map of the values at a key of a scene (n_node,) over the sheet before it is formed."""
-    places, values = 1e3 * np.asarray(scene.parison.positions, float), np.asarray(number_at(scene, key), float)
+    values = np.asarray(number_at(scene, key), float)
     values = 1e3 * values if key == "parison.thickness" else values
-    first, second = np.sort(np.argsort(np.ptp(places, axis=0))[1:])
-    triangles = np.asarray(scene.parison.triangles)
-    x, y = places[:, first], places[:, second]
-    drawn = axes.tripcolor(x, y, triangles, values, shading="gouraud", cmap="inferno")
-    axes.set(xlabel=f"{'xyz'[first]} [mm]", ylabel=f"{'xyz'[second]} [mm]", title=words, aspect="equal")
+    drawn = draw_map(axes, scene, values, cmap="inferno")
+    axes.set_title(words)
     figure.colorbar(drawn, ax=axes, fraction=0.05, pad=0.03)
 
 

@@ -223,7 +223,7 @@ def _outline(scene: Scene, vertices: Array, triangles: NDArray[Any], crosses: bo
 # Ranges of colours for many numbers, and the points that the eye tells apart, for pictures and the report.
 
 _FINENESS = 500  # points that the eye tells apart along a side of a diagram
-_GROUPS, _ACROSS = 40, 0.1  # of nodes along the sheet; of its variance, what a field has within these at least
+_GROUPS, _ACROSS = 40, 0.02  # of nodes along the sheet; of its variance, what a field has within these at least
 _MOVED = 0.02  # of the farthest way an element went: one that went less was not formed
 _MOST = 0.98  # of the formed area, the colours tell apart; the thickest have one colour
 
@@ -270,10 +270,89 @@ def distinguishable_points(across: Array, up: Array) -> NDArray[np.int64]:
 
 def varies_across(place: Array, values: Array) -> bool:
     """True if values (n,) differ between nodes at nearly the same place (n,) along a sheet, as those of a field do."""
-    within = np.concatenate([values[group] - values[group].mean() for group in groups_along(place)])
-    return bool(np.var(within) > _ACROSS * np.var(values))
+    left = []
+    for group in groups_along(place):
+        along, own = place[group] - place[group].mean(), values[group] - values[group].mean()
+        # What changes evenly along the sheet is no difference across it.
+        left.append(own - along * (along @ own) / max(float(along @ along), np.finfo(float).tiny))
+    return bool(np.var(np.concatenate(left)) > _ACROSS * np.var(values))
 
 
 def groups_along(place: Array) -> list[NDArray[np.intp]]:
     """The numbers of nodes at nearly the same place (n,) along a sheet, group by group."""
     return np.array_split(np.argsort(place), max(1, min(_GROUPS, len(place) // 8)))
+
+
+# Maps of the initial sheet: places of its nodes in a plane.
+
+_TURNED = 0.01  # of what is drawn of a sheet, the most that may be turned over: else some of it hides behind the rest
+_SEEN = 0.8  # of its area, the least that is seen of a sheet that is not unrolled
+_AT_AXIS = 0.01  # of the largest distance from an axis: nodes that are nearer have no angle about it
+_ROUND = 360.0  # degrees
+
+
+def map_sheet(scene: Scene) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], list[str]]:
+    """The initial sheet in a plane: seen along its shortest side or, as a tube, unrolled about its longest.
+
+    An unrolled sheet is drawn over the angle. Elements that lie across an angle of 180 degrees are there at both ends,
+    and a node at the axis has an angle for each of its elements.
+
+    Returns:
+        Places (n, 2) [mm, or mm and degrees], the node (n,) at each, triangles (m, 3) of places, and labels of the
+        axes.
+    """
+    start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles, np.int64)
+    order = np.argsort(np.ptp(start, axis=0))
+    shown, along, across = np.sort(order[1:]), int(order[-1]), np.sort(order[:-1])
+    seen, area = _signed_areas(start[:, shown], triangles), topology.doubled_normals(start, triangles)
+    angles = _corner_angles(start[:, across] - [sections.middle_of(scene, int(axis)) for axis in across], triangles)
+    unrolled = np.stack([1e3 * start[triangles, along], angles], axis=2)
+    corners = np.arange(triangles.size).reshape(-1, 3)
+    whole = np.abs(seen).sum() >= _SEEN * np.linalg.norm(area, axis=1).sum()
+    if (whole and not _overlaps(seen)) or _overlaps(_signed_areas(unrolled.reshape(-1, 2), corners)):
+        labels = [f"{'xyz'[axis]} [mm]" for axis in shown]
+        return 1e3 * start[:, shown], np.arange(len(start)), triangles, labels
+    over, under = (angles > 0.5 * _ROUND).any(1), (angles < -0.5 * _ROUND).any(1)
+    turn = np.array([0.0, _ROUND])
+    places = np.concatenate([unrolled, unrolled[over] - turn, unrolled[under] + turn]).reshape(-1, 2)
+    node = np.concatenate([triangles, triangles[over], triangles[under]]).ravel()
+    labels = [f"{'xyz'[along]} [mm]", f"angle about {'xyz'[along]} [degrees]"]
+    return places, node, np.arange(len(node)).reshape(-1, 3), labels
+
+
+def _signed_areas(places: Array, triangles: NDArray[np.int64]) -> Array:
+    """Doubled areas (m,) of triangles (m, 3) of places (n, 2), negative where they turn to the right."""
+    one, other = (places[triangles[:, k]] - places[triangles[:, 0]] for k in (1, 2))
+    return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+
+
+def _overlaps(areas: Array) -> bool:
+    """True where triangles of signed areas (m,), drawn in a plane, lie over one another."""
+    turned = min(np.maximum(areas, 0.0).sum(), np.maximum(-areas, 0.0).sum())
+    return bool(turned > _TURNED * np.abs(areas).sum())
+
+
+def _corner_angles(away: Array, triangles: NDArray[np.int64]) -> Array:
+    """Angles (m, 3) [degrees] of the corners of triangles, from nodes' vectors (n, 2) away from an axis.
+
+    Those of a triangle are near to one another, also where that leads beyond 180 degrees.
+    """
+    distance = np.linalg.norm(away, axis=1)
+    angle = np.degrees(np.arctan2(away[:, 1], away[:, 0]))
+    corners = np.where(distance[triangles] > _AT_AXIS * distance.max(), angle[triangles], np.nan)
+    known = np.take_along_axis(corners, np.isnan(corners).argmin(1)[:, None], axis=1)
+    corners = known + (corners - known + 0.5 * _ROUND) % _ROUND - 0.5 * _ROUND  # of an element across 180 degrees
+    there = ~np.isnan(corners)
+    mean = np.where(there, corners, 0.0).sum(1) / np.maximum(there.sum(1), 1)
+    return np.where(there, corners, mean[:, None])
+
+
+def draw_map(axes: Any, scene: Scene, values: Array, **colors: Any) -> Any:
+    """Draws values (n_node,) over the initial sheet in a plane, labels the axes, and returns what has the colours."""
+    places, node, triangles, labels = map_sheet(scene)
+    drawn = axes.tripcolor(*places.T, triangles, values[node], shading="gouraud", **colors)
+    axes.set(xlabel=labels[0], ylabel=labels[1], aspect="equal" if len(node) == len(values) else "auto")
+    if len(node) != len(values):
+        axes.set(ylim=(max(places[:, 1].min(), -0.5 * _ROUND), min(places[:, 1].max(), 0.5 * _ROUND)))
+    axes.grid(False)
+    return drawn

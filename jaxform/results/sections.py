@@ -106,7 +106,7 @@ def curves(
         ordered = [longest[1], longest[0]]
     found = []
     for axis in ordered:
-        level = _middle(scene, axis) if through is None else float(np.asarray(through)[axis])
+        level = middle_of(scene, axis) if through is None else float(np.asarray(through)[axis])
         name = f"section {'xyz'[axis]} = {1e3 * level:.4g} mm of the initial sheet"
         pieces = cuts(scene, result, axis, level, part=part)
         if through is None:
@@ -141,7 +141,8 @@ def symmetry_planes(scene: Scene) -> dict[int, float]:
     return {k: float(np.median(start[free[:, k], k])) for k in mirrored}
 
 
-def _middle(scene: Scene, axis: int) -> float:
+def middle_of(scene: Scene, axis: int) -> float:
+    """The place [m] of the initial sheet's middle along an axis, that of the whole sheet where half is modelled."""
     planes = symmetry_planes(scene)
     if axis in planes:
         return planes[axis]

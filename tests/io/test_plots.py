@@ -383,6 +383,39 @@ def test_labels_of_tall_parts_are_in_the_picture(rise: float) -> None:
     assert all(artist.get_visible() for artist in axes.artists)
 
 
+@pytest.mark.parametrize("symmetry", ["none", "half", "quarter"])
+@pytest.mark.parametrize("cap", [False, True])
+def test_a_tube_or_preform_is_unrolled_for_a_map(symmetry: Any, cap: bool) -> None:
+    """Seen from the side, its front would hide its back."""
+    wall = [[0.2, 0.0], [0.2, 1.0]]
+    profile = [*wall, *([[0.14, 1.14], [0.0, 1.2]] if cap else [])]
+    sheet = (
+        shapes.preform(profile=profile, elements=600, symmetry=symmetry)
+        if cap
+        else shapes.tube(radius=0.2, length=1.0, elements=600, symmetry=symmetry)
+    )
+    scene, _ = _at_rest(sheet)
+    start = np.asarray(scene.parison.positions)
+    places, node, triangles, labels = surfaces.map_sheet(scene)
+    assert labels == ["z [mm]", "angle about z [degrees]"]
+    np.testing.assert_allclose(places[:, 0], 1e3 * start[node, 2], rtol=1e-12)
+    around = np.hypot(*start[node, :2].T) > 0.01
+    turned = np.degrees(np.arctan2(*start[node, 1::-1].T)) - places[:, 1]
+    np.testing.assert_allclose(np.round(turned / 360.0)[around] * 360.0, turned[around], atol=1e-9)
+    # Each element once, or, across 180 degrees, at both ends: they fill the angle of the sheet along all of its wall.
+    areas = surfaces._signed_areas(places, triangles)
+    once = np.unique(np.sort(node[triangles], axis=1), axis=0, return_index=True)[1]
+    full = 360.0 / {"none": 1, "half": 2, "quarter": 4}[symmetry] * 1e3 * np.ptp(start[:, 2])
+    assert len(once) == len(scene.parison.triangles)
+    assert 0.5 * np.abs(areas[once]).sum() == pytest.approx(full, rel=0.04 if cap else 1e-9)
+    assert not surfaces._overlaps(areas) and (len(once) < len(triangles)) == (symmetry == "none")
+    design = jaxform.replace(scene, {"parison.thickness": scene.parison.thickness * (1.3 + jnp.sin(5.0 * start[:, 0]))})
+    assert plots._designed_field(scene, design) == ("parison.thickness", "initial thickness [mm]")
+    ax = jaxform.plot.sheet(design, ax=canvas.new_figure(8, 5, "").add_axes((0.1, 0.1, 0.6, 0.8)), bar=False)
+    (drawn,) = ax.collections
+    np.testing.assert_allclose(drawn.get_array(), 1e3 * np.asarray(design.parison.thickness)[node], rtol=1e-12)
+
+
 @pytest.mark.parametrize("shape", ["disc", "rectangle"])
 def test_a_designed_field_of_thickness_is_a_map_and_a_profile_a_line(shape: str) -> None:
     """Over the place along the sheet the values of a field are a cloud, in which nothing is seen of it."""
