@@ -127,7 +127,8 @@ def sharp_edges(
     """The edges at which the surface turns by more than an angle, (4, n_edge).
 
     Of each the vertices at its ends, then the third vertex of either triangle. Edges of one triangle, as along the rim
-    of an open mold, and of more than two are not among them.
+    of an open mold, are not among them. One of more than two, as where bodies or a thin rib join, is convex to what is
+    between two of them with none of the others, more than 180 degrees apart: it is among them with these two.
 
     Args:
         vertices: Vertices (n_vertex, 3) [m].
@@ -142,16 +143,47 @@ def sharp_edges(
     order = np.argsort(place, kind="stable")
     first = np.concatenate([[0], np.cumsum(each)[:-1]])[each == 2].astype(np.int64)
     one, other = order[first], order[first + 1]
-    a, b = low[one], high[one]
-    found = np.stack([a, b, third[one], third[other]])
-    along = corners[b] - corners[a]
+    found = np.stack([low[one], high[one], third[one], third[other]])
+    ways = [_ways_across(corners, found[0], found[1], others) for others in found[2:]]
+    sharp = found[:, -np.einsum("ij,ij->i", *ways) < np.cos(np.radians(angle))]
+    several = order[each[place[order]] > 2]
+    if not len(several):
+        return sharp.astype(np.int32)
+    fans = np.stack([low, high, third])[:, several]
+    return np.concatenate([sharp, _convex_pairs(corners, fans, place[several], angle)], axis=1).astype(np.int32)
+
+
+def _ways_across(corners: NDArray[np.floating], begin: Any, end: Any, third: Any) -> NDArray[np.floating]:
+    """Unit vectors (n, 3) in triangles away from their edges: opposite to each other where a surface is flat."""
+    along = corners[end] - corners[begin]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
-    # The faces' directions away from the edge: opposite to each other where the surface is flat.
-    ways = [corners[c] - corners[a] for c in found[2:]]
-    ways = [way - np.einsum("ij,ij->i", way, along)[:, None] * along for way in ways]
-    sizes = [np.maximum(np.linalg.norm(way, axis=1), 1e-300) for way in ways]
-    cosine = -np.einsum("ij,ij->i", *ways) / (sizes[0] * sizes[1])
-    return found[:, cosine < np.cos(np.radians(angle))].astype(np.int32)
+    way = corners[third] - corners[begin]
+    way -= np.einsum("ij,ij->i", way, along)[:, None] * along
+    return way / np.maximum(np.linalg.norm(way, axis=1), 1e-300)[:, None]
+
+
+def _convex_pairs(
+    corners: NDArray[np.floating], fans: NDArray[np.int64], edge: NDArray[np.int64], angle: float
+) -> NDArray[np.int64]:
+    """Of edges of several triangles those (4, k) with two neighbours around them more than 180 degrees apart.
+
+    Args:
+        corners: Vertices (n_vertex, 3) [m].
+        fans: Both ends of the edge and the third vertex of each such triangle (3, n), edge by edge.
+        edge: The number of its edge (n,).
+        angle: By how much more [degrees].
+    """
+    way, first = _ways_across(corners, fans[0], fans[1], fans[2]), np.searchsorted(edge, edge)
+    along = corners[fans[1]] - corners[fans[0]]
+    upright = np.cross(along / np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None], way[first])
+    turn = np.arctan2(np.einsum("ij,ij->i", way, upright), np.einsum("ij,ij->i", way, way[first])) % (2.0 * np.pi)
+    order = np.lexsort((turn, edge))
+    fans, turn, number = fans[:, order], turn[order], np.arange(len(edge))
+    last = np.append(np.diff(edge) > 0, True)
+    following = np.where(last, first, number + 1)  # around the edge
+    gap = turn[following] - turn + np.where(last, 2.0 * np.pi, 0.0)
+    chosen = np.flatnonzero(gap - np.pi > np.radians(angle))
+    return np.concatenate([fans[:, chosen], fans[2:, following[chosen]]])
 
 
 def smooth_parts(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> NDArray[np.int32]:

@@ -122,6 +122,45 @@ def test_sharp_edges_of_a_box_whose_triangles_turn_either_way() -> None:
     assert (np.abs(corners[found[0]] - corners[found[1]]).sum(1) == 1.0).all()
 
 
+@pytest.mark.parametrize(
+    ("directions", "pair"),
+    [
+        ((225, 315, 270), (225, 315)),  # a wall within the wedge
+        ((315, 270, 225, 250), (225, 315)),
+        ((180, 270, 350), (350, 180)),  # by 10 degrees less than a half turn: 190 degrees of free space
+        ((180, 0, 90), None),  # a rib on a plate: each side of it is a valley
+        ((0, 90, 180, 270), None),
+        ((181, 0, 90), None),  # nearly flat on one side
+    ],
+)
+def test_an_edge_of_several_triangles_holds_what_is_outside_of_all(
+    directions: tuple[int, ...], pair: tuple[int, int] | None
+) -> None:
+    random = np.random.default_rng(4)
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    around = np.radians(np.array(directions, float))
+    thirds = np.stack([np.cos(around), random.uniform(0.0, 1.0, len(around)), np.sin(around)], axis=1)
+    vertices = np.concatenate([[[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], thirds]) @ turn.T
+    ends = random.permuted(np.tile([0, 1], (len(around), 1)), axis=1)
+    triangles = np.concatenate([ends, np.arange(2, len(vertices))[:, None]], axis=1)
+    found = sharp_edges(vertices, triangles, 9.0)
+    assert found.shape == (4, 0 if pair is None else 1)
+    if pair is not None:
+        assert found[:2, 0].tolist() == [0, 1]
+        assert {directions[third - 2] for third in found[2:, 0]} == set(pair)
+
+
+def test_a_ridge_with_a_wall_within_holds_as_without_it() -> None:
+    """Bodies of a mold that are put together, or a thin rib with thickness on a plate, have such edges."""
+    scene, (vertices, triangles) = blown(16), wedge(2e-4)
+    inner = np.array([[RIDGE, y, 0.05] for y in (-0.05, 0.1)])
+    mold = jaxform.make_mold(np.concatenate([vertices, inner]), np.concatenate([triangles, [[0, 1, 6], [1, 7, 6]]]))
+    with_wall = _with_tools(scene, mold)
+    known, result = jaxform.run(scene), jaxform.run(with_wall)
+    assert held_count(known) == held_count(result) == 3
+    np.testing.assert_allclose(result.element_thickness, known.element_thickness, rtol=1e-9)
+
+
 def test_facets_of_a_round_surface_are_no_edges() -> None:
     shape = jaxform.molds.revolved(profile=DOME, segments=48)
     for angle in (SHARPEST_FACETS, HOLDING_FACETS):
