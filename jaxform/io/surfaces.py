@@ -273,7 +273,7 @@ def varies_across(place: Array, values: Array) -> bool:
     left = []
     for group in groups_along(place):
         along, own = place[group] - place[group].mean(), values[group] - values[group].mean()
-        # What changes evenly along the sheet is no difference across it.
+        # A change that is even along the sheet is no difference across it.
         left.append(own - along * (along @ own) / max(float(along @ along), np.finfo(float).tiny))
     return bool(np.var(np.concatenate(left)) > _ACROSS * np.var(values))
 

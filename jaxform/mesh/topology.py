@@ -165,7 +165,7 @@ def _ways_across(corners: NDArray[np.floating], begin: Any, end: Any, third: Any
 def _convex_pairs(
     corners: NDArray[np.floating], fans: NDArray[np.int64], edge: NDArray[np.int64], angle: float
 ) -> NDArray[np.int64]:
-    """Of edges of several triangles those (4, k) with two neighbours around them more than 180 degrees apart.
+    """The edges of several triangles (4, k) of which two neighbours around the edge are more than 180 degrees apart.
 
     Args:
         corners: Vertices (n_vertex, 3) [m].
