@@ -39,6 +39,7 @@ _POINTS = 8  # of the round end
 _LIMIT, _SPARE = 25.0, 1.7  # of Gent's model; and at least so many times I1 - 3 of the mean stretches
 _ELEMENTS, _MORE = 600, 1500  # of a quarter; the second for a bottle that is not round
 _MOLD = "mold.stl"
+_BLOCKS = "taken as blocks of a mold, of which the cavity is the bottle"
 _MODELLED = {"quarter": ("a quarter", 1), "half": ("half", 2), "none": ("all", 4)}  # of a bottle, and in quarters
 _RADIUS, _VOLUME, _ORIFICE, _DEAD = 0.03, 4.2e-4, 1.0e-5, 5.0e-6  # of the built-in bottle, whose air fits it
 
@@ -131,12 +132,18 @@ def find_in[Found](surfaces: Sequence[Mesh], find: Callable[[Mesh], Found]) -> t
         InputError: The function finds none in either.
     """
     whole, *parts = surfaces
+    cavities = bottles.block_cavities(parts)
+    # The narrow end of closed blocks may be a corner of theirs, which is no neck.
+    first = cavities[:1] if cavities and bottles.neck_error(cavities[0]) < bottles.neck_error(whole) else []
+    for cavity in first:
+        with contextlib.suppress(InputError):
+            return find(cavity), [_BLOCKS]
     try:
         return find(whole), []
     except InputError:
-        for cavity in bottles.block_cavities(parts):
+        for cavity in cavities[len(first) :]:
             with contextlib.suppress(InputError):
-                return find(cavity), ["taken as blocks of a mold, of which the cavity is the bottle"]
+                return find(cavity), [_BLOCKS]
         raise
 
 

@@ -285,16 +285,17 @@ def _block(bottle: Mesh, wall: float = 15.0) -> Mesh:
     return meshes.weld(Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3), {}), 1e-6)
 
 
-@pytest.mark.parametrize("halves", ["one", "closed", "open"])
+@pytest.mark.parametrize("halves", ["one", "closed", "open", "turned"])
 def test_of_the_blocks_of_a_mold_the_cavity_is_the_bottle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], halves: str
 ) -> None:
-    """As a tool maker's file has it: the half is that of the bottle itself."""
+    """As a tool maker's file has it: the half is that of the bottle itself. Turned, closed blocks end in a corner."""
     block = _block(_square())
+    turn = molds.rotation(np.array([25.0 if halves == "turned" else 0.0, 0.0, 0.0]))
     apart = 30.0 if halves == "open" else 0.0
     parts = [block, Mesh(block.positions * [-1.0, 1.0, 1.0] - [apart, 0.0, 0.0], block.triangles[:, ::-1], {})]
     for number, part in enumerate(parts):
-        meshes.write_stl(tmp_path / f"half{number}.stl", part.positions, part.triangles)
+        meshes.write_stl(tmp_path / f"half{number}.stl", part.positions @ turn.T, part.triangles)
     files = [str(tmp_path / f"half{number}.stl") for number in range(1 if halves == "one" else 2)]
     folder = tmp_path / "bottle"
     assert main(["new", str(folder), "--process", "extrusion-blow", "--mold", *files]) == 0
