@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxform.core.errors import InputError, format_extent
+from jaxform.core.errors import InputError, format_extent, format_number
 from jaxform.core.pytree import as_real
 from jaxform.core.store import Store
 from jaxform.io import files, schema
@@ -79,7 +79,7 @@ def _words(table: Any, name: str) -> str:
 
 def _short(value: Any) -> str:
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} {_short(item)}" for key, item in value.items() if item is not None) + "}"
+        return f"({', '.join(f'{key} {_short(item)}' for key, item in value.items() if item is not None)})"
     if isinstance(value, list):
         items = [_short(item) for item in value]
         return f"[{', '.join(items if len(items) <= 6 else [*items[:2], '...', *items[-2:]])}]"
@@ -94,7 +94,8 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
     for tool in scene.tools:
         yield from _tool_lines(tool)
     if document.model.part is not None:
-        chosen = _short(document.model.part.model_dump(exclude_defaults=True))
+        given = document.model.part.model_dump(exclude_defaults=True)
+        chosen = ", ".join(f"{key} {_short(value)}" for key, value in given.items())
         yield f"part: {chosen}; all statistics count the part alone"
     tables = [document.model.mold, *document.model.tool]
     if any(table is not None and table.land is not None for table in tables):
@@ -117,7 +118,8 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
 def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterator[str]:
     parison = scene.parison
     modes = scene.material.viscous
-    viscous = [] if modes is None else [f"{modes.modulus.size} Prony terms ({modes.kind})"]
+    terms = 0 if modes is None else modes.modulus.size
+    viscous = [] if modes is None else [f"{terms} Prony term{'s' * (terms > 1)} ({modes.kind})"]
     law = ", ".join([document.model.material.model, *(f"{name} in zones" for name in scene.material.zones), *viscous])
     law += ", tension field (wrinkles instead of compression)" if scene.material.tension_field else ""
     yield f"{scene.name}: {len(parison.triangles)} elements, {scene.first_nodes} nodes, {law}"
@@ -142,7 +144,7 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
     if scene.pressure.follows_volume:
         yield f"{loads} follows the enclosed volume, and pushes the sheet {seen.direction}{turns}"
     else:
-        yield f"{loads}, up to {scene.strongest_push():.4g} Pa, pushes the sheet {seen.direction}{turns}"
+        yield f"{loads}, up to {format_number(scene.strongest_push(), 4)} Pa, pushes the sheet {seen.direction}{turns}"
     if isinstance(scene.pressure, RegionalLoad):
         yield f"the sheet is clamped along the borders of regions; {_regions(scene, scene.pressure)}"
 
@@ -233,8 +235,8 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
     most = "up to " if scene.refinement is not None else ""
     yield (
-        f"about {steps:.2g} steps, fewer if the whole sheet is in contact earlier: {most}{_duration(seconds)}; "
-        f"{most}{(_BYTES_AT_FIRST + _COPIES * stored) / 1e9:.2g} GB of memory"
+        f"about {format_number(steps, 2)} steps, fewer if the whole sheet is in contact earlier: "
+        f"{most}{_duration(seconds)}; {most}{(_BYTES_AT_FIRST + _COPIES * stored) / 1e9:.2g} GB of memory"
     )
     if is_compiled(scene, store):
         yield "its programs are compiled already"

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxform.cli import session
 from jaxform.core import disk
-from jaxform.core.errors import InputError, redirect_warnings, warn_of
+from jaxform.core.errors import InputError, format_number, redirect_warnings, warn_of
 
 if TYPE_CHECKING:
     from jaxform.io.scene_choices import Draft
@@ -212,7 +212,7 @@ def _lines(made: Draft) -> Iterator[str]:
     yield from _cavity_lines(made) if made.drape is None else scene_choices.lines(made.drape)
     if made.doubt:
         yield f"it is {made.doubt}"
-    yield f"sheet: {scene_text.shape_text(made)}, {1e3 * made.width:.3g} mm wide, {_clamp_words(made)}"
+    yield f"sheet: {scene_text.shape_text(made)}, {scene_text.size_text(made)}, {_clamp_words(made)}"
     if made.drape is None and made.plug is None and _DRAWN * made.width < made.found.depth <= _DEEP * made.width:
         yield "so deep a draw leaves the bottom thin: `--plug auto` makes a plug that pushes the sheet first"
     if made.drape is None and made.covers.mesh is not None:
@@ -226,8 +226,8 @@ def _lines(made: Draft) -> Iterator[str]:
             f"{', until it is near the mold' if short else ''}; its friction is a guess"
         )
     yield (
-        f"guessed: thickness {1e3 * made.thickness:.3g} mm, {made.pressure:.3g} Pa within {made.ramp:.3g} s; "
-        "the material is a placeholder"
+        f"guessed: thickness {1e3 * made.thickness:.3g} mm, {format_number(made.pressure, 3)} Pa within "
+        f"{made.ramp:.3g} s; the material is a placeholder"
     )
     if made.is_limited:
         yield f"{scene_text.vacuum_text(made)} (--process pressure)"

@@ -122,6 +122,11 @@ def format_coordinate(value: float, factor: float = 1.0, digits: int = 4) -> str
     return f"{factor * round(float(value), 10) + 0.0:.{digits}g}"
 
 
+def format_number(value: float, digits: int) -> str:
+    """A number rounded to some digits, without an exponent below ten million."""
+    return f"{float(f'{value:.{digits}g}'):.7g}"
+
+
 def format_place(point: Iterable[float]) -> str:
     """A place [m] in words."""
     return f"({', '.join(map(format_coordinate, point))}) m"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.errors import format_place, warn_of
+from jaxform.core.errors import format_number, format_place, warn_of
 from jaxform.loads import Gas, RegionalLoad, TwoSidedLoad, list_gases
 from jaxform.materials import Cooling
 from jaxform.materials.temperature import Wlf
@@ -480,7 +480,8 @@ def _warn_of_shift(scene: Scene, file: str) -> None:
         warn_of(problem, remedy, key="material.shift.reference", value=reference, file=file)
     energy = None if isinstance(shift, Wlf) else getattr(shift, "activation_energy", None)
     if energy is not None and 0.0 < float(energy) < _IDLE_ENERGY:
-        problem, remedy = "has almost no effect: is it in J/mol?", f"give {1e3 * float(energy):.4g} if it is in kJ"
+        problem = "has almost no effect: is it in J/mol?"
+        remedy = f"give {format_number(1e3 * float(energy), 4)} if it is in kJ"
         warn_of(problem, remedy, key="material.shift.activation_energy", value=float(energy), file=file)
 
 
@@ -536,13 +537,13 @@ def _warn_of_motion(scene: Scene, file: str) -> None:
         time, end = np.asarray(tool.motion.time, float).tolist(), float(scene.solver.end_time)
         if time[0] < end and (left := _way_left(scene, tool)):
             problem = f"{words_of(tool)[0]} is {left:.3g} m from the end of its way when the run ends, at {end:g} s"
-            remedy = "give s, let it move earlier, or raise solver.end_time"
+            remedy = "give the times in seconds, let it move earlier, or raise solver.end_time"
             warn_of(problem, remedy, key=motion_key(tool, "time"), value=time, file=file)
         speed = tool.motion.mean_speeds().max()
         wave = float(np.sqrt(_WAVE * scene.law.stiffness_at_once().mean() / scene.material.density.mean()))
         if speed > wave:
             problem = f"{words_of(tool)[0]} moves at {speed:.3g} m/s, faster than waves in the sheet ({wave:.3g} m/s)"
-            remedy = "give s and m, or move it more slowly"
+            remedy = "give times in seconds and displacements in metres, or move it more slowly"
             warn_of(problem, remedy, key=motion_key(tool, "time"), value=time, file=file)
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.errors import format_extent, format_place, warn_of
+from jaxform.core.errors import format_extent, format_number, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
 from jaxform.io.plausibility import (
     heights_above,
@@ -281,7 +281,8 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
         moves = scene.moves or (parison.clamp_until is not None and parison.pre_stretch is not None)
         if moves and not largest:
             return
-        what = f"the pressure, up to {largest:.2g} Pa, hardly moves the sheet" if largest else "there is no pressure"
+        pascals = format_number(largest, 2)
+        what = f"the pressure, up to {pascals} Pa, hardly moves the sheet" if largest else "there is no pressure"
         remedy = f"a sheet of this stiffness needs {stiffness * seen.thinness:.1g} Pa or more; give {units}"
     elif load > _STRONG:
         what = f"the pressure is {load:.1g} times what the sheet can carry"
@@ -331,7 +332,8 @@ def _tell_of_size(
 ) -> None:
     """Warns of a mold or tool that is so many times as large as the sheet."""
     guess, remedy = _units(ratio, scale, sheet_scale)
-    times = f"{ratio:.3g} times the sheet" if ratio > 1 else f"{1 / ratio:.3g} times smaller than the sheet"
+    number = format_number(max(ratio, 1 / ratio), 3)
+    times = f"{number} times the sheet" if ratio > 1 else f"{number} times smaller than the sheet"
     key = key if scale is None else f"{key}.scale"
     warn_of(f"the {words} is {times}{guess} ({boxes})", remedy, key=key, value=scale, file=file)
 
@@ -494,7 +496,7 @@ def warn_of_thin_features(scene: Scene, file: str = "") -> None:
     )
     if wanted >= triangle_side(area, _AFFORDABLE):
         remedies.append(f"make the elements smaller (parison.element_size = {wanted:.1g})")
-    remedy = f"{', '.join(remedies)} or {near}" if remedies else near
+    remedy = ", ".join([*remedies, f"or {near}"]) if remedies else near
     warn_of(problem, remedy, key="mold", file=file)
 
 

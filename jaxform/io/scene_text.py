@@ -303,6 +303,13 @@ def shape_text(made: Draft) -> str:
     return "a rectangle" if isinstance(made.planform, OrientedRectangle) else "an outline"
 
 
+def size_text(made: Draft) -> str:
+    """The size of the sheet, in words."""
+    if isinstance(made.planform, OrientedRectangle):
+        return " x ".join(f"{1e3 * side:.3g}" for side in made.planform.sides) + " mm"
+    return f"{1e3 * made.width:.3g} mm wide"
+
+
 def covers_text(made: Draft) -> str:
     """Description of the openings that the covers close."""
     holes, gaps = made.covers.holes, made.covers.gaps

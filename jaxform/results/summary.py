@@ -358,9 +358,9 @@ def _warnings_of_ribs(beyond: Penetration, scene: Scene, name: str) -> list[str]
         return []
     where = "in 1 place" if ribs.count == 1 else f"in about {ribs.count} places"
     return [
-        f"the sheet passed through a rib or pin of {name} {where}, which stands {ribs.height:.3g} m above it at "
-        f"{format_place(ribs.place)} and is {ribs.width:.2g} m wide there: contact is detected at nodes, and no node "
-        f"met it; the wall is computed without it; {_remedy_at_edges(scene)}"
+        f"the sheet passed through a rib or pin of {name} {where}; at {format_place(ribs.place)} it stands "
+        f"{ribs.height:.3g} m above the sheet and is {ribs.width:.2g} m wide: contact is detected at nodes, and no "
+        f"node met it; the wall is computed without it; {_remedy_at_edges(scene)}"
     ]
 
 

@@ -14,3 +14,9 @@ def test_coordinates_do_not_show_what_rounding_makes_of_0() -> None:
         errors.format_extent(np.array([-0.0376, -9.797e-18]), np.array([0.1624, 1e-9]))
         == "-0.0376 to 0.1624 x 0 to 1e-09 m"
     )
+
+
+def test_numbers_are_rounded_and_have_exponents_only_where_they_are_long() -> None:
+    numbers = [(103.0, 2), (7946.0, 2), (39000.0, 3), (1e6, 4), (0.0, 4), (0.012345, 3), (1.2e9, 2)]
+    texts = ["100", "7900", "39000", "1000000", "0", "0.0123", "1.2e+09"]
+    assert [errors.format_number(*each) for each in numbers] == texts

@@ -47,7 +47,7 @@ def _with_file(keys: str) -> str:
     ("units", "keys", "words"),
     [
         (1.0, "", ""),
-        (1e3, "", "1e+03 times the sheet: millimetres?"),
+        (1e3, "", "1000 times the sheet: millimetres?"),
         (1e3, "", "scale = 0.001"),
         (1e3, "scale = 1e-3", ""),
         (1 / 0.0254, "", "inches? "),

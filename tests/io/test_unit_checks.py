@@ -44,7 +44,7 @@ DOUBTFUL = {
     "kelvin, warmer": (PASCALS + WLF.format(reference=140.0), 433.15, "give degC: 160"),
     "kelvin of the reference": (
         PASCALS + ARRHENIUS.format(kind="arrhenius", reference=413.0, energy=4e4), 150.0, "give degC: 139.9"),
-    "kJ": (PASCALS + ARRHENIUS.format(kind="arrhenius", reference=140.0, energy=40.0), 150.0, "give 4e+04 if"),
+    "kJ": (PASCALS + ARRHENIUS.format(kind="arrhenius", reference=140.0, energy=40.0), 150.0, "give 40000 if"),
     "kJ of stiffness": (
         ARRHENIUS.format(kind="arrhenius-stiffness", reference=140.0, energy=86.0), 150.0, "is it in J/mol"),
     "hot air": (COOLING.format(air=298.0, mold=60.0), 150.0, "air_temperature = 298.0: is above the sheet"),
