@@ -234,9 +234,10 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     seconds = steps * (_PER_STEP + elements * _PER_ELEMENT)
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
     most = "up to " if scene.refinement is not None else ""
+    longer = ", or many times as long with sides at sharp edges (solver.edge_contact)" if scene.tables.edges else ""
     yield (
         f"about {format_number(steps, 2)} steps, fewer if the whole sheet is in contact earlier: "
-        f"{most}{_duration(seconds)}; {most}{(_BYTES_AT_FIRST + _COPIES * stored) / 1e9:.2g} GB of memory"
+        f"{most}{_duration(seconds)}{longer}; {most}{(_BYTES_AT_FIRST + _COPIES * stored) / 1e9:.2g} GB of memory"
     )
     if is_compiled(scene, store):
         yield "its programs are compiled already"
