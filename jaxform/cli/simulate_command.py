@@ -143,10 +143,9 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path, tou
     say(_thinnest(summary["thinnest"]))
     if pieces := summary.get("flash"):
         low, high = (format_place(place) for place in pieces[0]["box"])
-        say(
-            f"flash (no part): {1e3 * summary['flash_mass']:.3g} of {1e3 * summary['sheet_mass']:.3g} g, in "
-            f"{len(pieces)} piece{'s' * (len(pieces) > 1)}, the heaviest from {low} to {high}"
-        )
+        count = "1 piece," if len(pieces) == 1 else f"{len(pieces)} pieces, the heaviest"
+        mass = f"{1e3 * summary['flash_mass']:.3g} of {1e3 * summary['sheet_mass']:.3g} g"
+        say(f"flash (no part): {mass}, in {count} from {low} to {high}")
     for tool in summary["tools"]:
         if tool["name"] != "mold":
             say(_contact_words(tool))

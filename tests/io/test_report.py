@@ -737,3 +737,10 @@ def test_without_webgl_the_tables_and_diagrams_are_there(page: browser.Browser, 
     assert page.value("document.querySelectorAll('svg.chart').length") == 1
     assert "0.0123" not in page.value("document.body.innerText")  # masses are in g
     assert "12.3 g" in page.value("document.body.innerText")
+
+
+def test_the_energy_table_shows_what_is_released_with_its_sign() -> None:
+    account = {"external_work": 24.0, "strain": 23.0, "refinement_loss": -0.06, "balance_error": 4e-4}
+    text = report.page.energy({"energy": account | {"contact_loss": -1e-6, "quasi_static_error": 0.01}})
+    assert "-0.25 %" in text and "95.8 %" in text and "0.04 % of the work" in text
+    assert "&lt; 0.01 %" in text and "-&lt;" not in text

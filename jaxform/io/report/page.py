@@ -24,6 +24,7 @@ _ENERGY = {
     "pre_stretch_work": "strain energy of the pre-stretched sheet",
 }
 _WHOLE = {1: "half", 2: "a quarter", 3: "an eighth"}  # of the part is modelled, by the number of symmetry planes
+_LEAST = 1e-4  # a share below which only this bound is written
 _NOTHING = "\N{EN DASH}"
 
 
@@ -140,12 +141,12 @@ def quality(results: Results) -> str:
         rows.append(
             (
                 "largest penetration of an element into the mold",
-                f"{number(summary['penetration_max'], 1e3, 3)} mm, {where}",
+                f"{number(summary['penetration_max'], 1e3, 3)} mm, at {where}",
             )
         )
     if summary.get("gap_max"):
         where = _place(summary.get("gap_place") or [])
-        rows.append(("largest gap to the mold", f"{number(summary['gap_max'], 1e3, 3)} mm, {where}"))
+        rows.append(("largest gap to the mold", f"{number(summary['gap_max'], 1e3, 3)} mm, at {where}"))
     body = "".join(f'<tr><th scope="row">{name}</th><td>{value}</td></tr>' for name, value in rows)
     return f"<h2>The part</h2><table>{body}</table>"
 
@@ -227,14 +228,15 @@ def energy(summary: Mapping[str, Any]) -> str:
     head = '<tr><th scope="col">term</th><th scope="col">energy [J]</th><th scope="col">share of the work</th></tr>'
     return (
         f"<h2>Energy balance</h2><table class=energy><thead>{head}</thead><tbody>{rows}</tbody></table>"
-        f'<p class="quiet">{note} Of the modelled part.</p>'
+        f'<p class="quiet">{note} Energies are those of the modelled part.</p>'
     )
 
 
 def _energy_row(words: str, value: Any, total: float) -> str:
     share = abs(value) / total if isinstance(value, int | float) and total else None
     width = 100 * min(share or 0.0, 1.0)
-    bar = f'<span class="bar"><i style="width:{width:.3g}%"></i></span>{_small(share)} %'
+    signed = -share if share and share >= _LEAST and value < 0.0 else share
+    bar = f'<span class="bar"><i style="width:{width:.3g}%"></i></span>{_small(signed)} %'
     return f'<tr><th scope="row">{words}</th><td class=number>{number(value)}</td><td>{bar}</td></tr>'
 
 
@@ -279,7 +281,7 @@ def scene(results: Results) -> str:
 
 def _small(share: Any) -> str:
     """A share in per cent; below a hundredth of one, only that bound."""
-    return "&lt; 0.01" if isinstance(share, int | float) and 0 <= share < 1e-4 else number(share, 100, 3)
+    return "&lt; 0.01" if isinstance(share, int | float) and 0 <= share < _LEAST else number(share, 100, 3)
 
 
 def _place(point: Sequence[Any], unit: str = " mm") -> str:
