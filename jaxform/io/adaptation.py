@@ -48,6 +48,12 @@ _ELEMENTS = 2500  # of a new mesh by default, where the first has no more
 _RECENT = 8  # adapted meshes that a process keeps, which a study and its best scene ask for again
 _recent: dict[str, Arrays] = {}
 
+# Names of the arrays that are kept of an adapted sheet, besides those of its mesh.
+
+_ERROR = "estimated_error"  # of the elements' wall
+_RUNS, _UNMOVED = "runs", -1.0  # facts of the runs (n, 5): see `_facts`; of one without moves their number is this
+_FIELD = "field:"  # prefix of the names of the sheet's fields, which may be any
+
 
 def adapt_sheet(
     document: SceneDocument, sheet: Sheet, store: Store | None = None, report: Report | None = None
@@ -66,25 +72,43 @@ def adapt_sheet(
     Warns:
         InputWarning: The elements are too few for the wall.
     """
-    key, told = _key(document, sheet), list[Array]()
+    key, reported = _key(document, sheet), list[Array]()
 
-    def tell(run: Array) -> None:
-        told.append(run)
+    def report_run(run: Array) -> None:
+        reported.append(run)
         if report is not None:
             report(_facts(run))
 
     if key not in _recent:
-        made = (store or Store()).arrays("adapted", (key,), lambda: _make(document, sheet, store, tell))
+        made = (store or Store()).arrays("adapted", (key,), lambda: _make(document, sheet, store, report_run))
         while len(_recent) >= _RECENT:
             _recent.pop(next(iter(_recent)))
         _recent[key] = made
-    kept = dict(_recent[key])
-    for run_before in kept.pop(_RUNS, np.zeros((0, 5)))[len(told) :]:
-        tell(run_before)
-    _warn_of_error(float(kept.pop(_ERROR, 0.0)), len(kept["triangles"]))
-    held: Any = {name: kept.pop(name) for name in ("positions", "triangles", "clamped", "fixed")}
-    fields = {name.removeprefix(_FIELD): values for name, values in kept.items()}
-    return Sheet(**held, fields=fields, snap=sheet.snap, guided=sheet.guided)
+    arrays = dict(_recent[key])
+    for run_before in arrays.pop(_RUNS, np.zeros((0, 5)))[len(reported) :]:
+        report_run(run_before)
+    _warn_of_error(float(arrays.pop(_ERROR, 0.0)), len(arrays["triangles"]))
+    mesh: Any = {name: arrays.pop(name) for name in ("positions", "triangles", "clamped", "fixed")}
+    fields = {name.removeprefix(_FIELD): values for name, values in arrays.items()}
+    return Sheet(**mesh, fields=fields, snap=sheet.snap, guided=sheet.guided)
+
+
+def adaptable(document: SceneDocument, **wanted: Any) -> SceneDocument:
+    """The document with keys of `parison.adapt`; those that are None are left as they are, or at their defaults.
+
+    Raises:
+        InputError: A number is out of range, or the scene is refined as it forms.
+    """
+    table = dict(document.data["parison"].get("adapt") or {})
+    table |= {key: value for key, value in wanted.items() if value is not None}
+    tables = document.data | {"parison": document.data["parison"] | {"adapt": table}}
+    return files.validate_scene(tables, document.file, document.folder, document.path)
+
+
+def without_adaptation(document: SceneDocument) -> SceneDocument:
+    """The document on the mesh from which its adaptation begins."""
+    parison = {key: value for key, value in document.data["parison"].items() if key != "adapt"}
+    return files.validate_scene(document.data | {"parison": parison}, document.file, document.folder, document.path)
 
 
 def _key(document: SceneDocument, sheet: Sheet) -> str:
@@ -98,12 +122,6 @@ def _key(document: SceneDocument, sheet: Sheet) -> str:
     return digest.hexdigest()
 
 
-_ERROR = "estimated_error"
-"""The name of the expected error among the arrays of an adapted sheet."""
-_RUNS, _UNMOVED = "runs", -1.0
-"""The name of what is told of runs (n, 5): elements, error, moved nodes or -1, farthest move [elements], new nodes."""
-
-
 def _warn_of_error(error: float, elements: int) -> None:
     """Warns of a large error of the elements' wall, which falls with the root of their number."""
     if error > _DOUBTFUL:
@@ -112,18 +130,14 @@ def _warn_of_error(error: float, elements: int) -> None:
         warn_of(problem, f"allow about {wanted} for {100 * _GOOD:.0f} %", key="parison.adapt.elements", value=elements)
 
 
-_FIELD = "field:"
-"""The prefix there of the names of the sheet's fields, which may be any."""
-
-
 def _arrays(sheet: Sheet) -> Arrays:
     """A sheet as named arrays."""
-    held = {"positions": sheet.positions, "triangles": sheet.triangles, "clamped": sheet.clamped, "fixed": sheet.fixed}
-    return {_FIELD + name: values for name, values in sheet.fields.items()} | held
+    mesh = {"positions": sheet.positions, "triangles": sheet.triangles, "clamped": sheet.clamped, "fixed": sheet.fixed}
+    return {_FIELD + name: values for name, values in sheet.fields.items()} | mesh
 
 
-def _make(document: SceneDocument, sheet: Sheet, store: Store | None, tell: Callable[[Array], None]) -> Arrays:
-    """The sheet after all runs, what there is to tell of each, and the error that is expected of its wall, by name."""
+def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Callable[[Array], None]) -> Arrays:
+    """The sheet after all runs, the facts of each, which are reported, and the error expected of its wall, by name."""
     wanted = document.model.parison.adapt
     assert wanted is not None
     mesher.load_mmg()
@@ -131,7 +145,7 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, tell: Call
 
     def note(*run: float) -> None:
         runs.append(np.array(run))
-        tell(runs[-1])
+        report(runs[-1])
 
     for number in range(1, wanted.passes + 1):
         scene, result = _run_pass(document, sheet, store, number)
@@ -161,42 +175,52 @@ def _move_to_edges(
     """The sheet with nodes beside sharp edges moved so that they land on them, and new nodes on sides that cut edges.
 
     By how much is seen in a run. The stretch beside an edge changes with the move, so another run shows what is left:
-    where no element cuts too deep, the mesh stays, and where one cuts deeper than before, that before is
-    taken, with new nodes alone.
+    where no element cuts too deep, the mesh stays, and where one cuts deeper than before, the mesh before is taken,
+    with new nodes alone.
 
     Args:
         document: The scene.
         sheet: The sheet.
         store: Store for programs.
         wanted: Number of passes before, and of elements at most.
-        note: Is told of each run.
+        note: Is called with the facts of each run.
     """
     passes, most = wanted
-    best, cuts, least = sheet, (np.zeros((0, 2), np.int64), np.zeros(0)), np.inf
+    before, sides_before, worst_before = sheet, (np.zeros((0, 2), np.int64), np.zeros(0)), np.inf
     for fit in range(_FITS + 1):
         scene, result = _run_pass(document, sheet, store, passes + 1 + fit)
         depth, corner_share = measure_cuts(result, scene)
         ends, share, worst = size_field.cut_sides(scene, result, depth, corner_share)
-        error = size_field.mean_error(scene, result)
-        deeper = worst > max(least, 1.0)
-        if deeper:
-            sheet = mesher.divide_sides(best, *cuts, most)
-        if deeper or fit == _FITS or (fit and not len(ends)):
-            added = len(sheet.positions) - len(best.positions) if deeper else 0
-            note(len(scene.parison.triangles), error, 0, 0.0, added)
-            break
-        best, cuts, least = sheet, (ends, share), worst
-        made = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result, depth))
-        moves = np.linalg.norm(made.positions - sheet.positions, axis=1) / np.sqrt(np.mean(scene.tables.sheet.area))
-        changed = np.unique(sheet.triangles[(moves[sheet.triangles] > 0.0).any(1)])
-        still = ~np.isin(ends, changed).any(1)  # the others are as deep no more
-        made = mesher.divide_sides(made, ends[still], share[still], most)
-        added = len(made.positions) - len(sheet.positions)
-        note(len(sheet.triangles), error, np.count_nonzero(moves), float(moves.max()), added)
-        sheet = made
+        facts = len(sheet.triangles), size_field.mean_error(scene, result)
+        if worst > max(worst_before, 1.0):
+            divided = mesher.divide_sides(before, *sides_before, most)
+            note(*facts, 0, 0.0, len(divided.positions) - len(before.positions))
+            return divided
+        if fit == _FITS or (fit and not len(ends)):
+            note(*facts, 0, 0.0, 0)
+            return sheet
+        before, sides_before, worst_before = sheet, (ends, share), worst
+        sheet, moves = _move_and_divide(sheet, scene, result, depth, sides_before, most)
+        added = len(sheet.positions) - len(before.positions)
+        note(*facts, np.count_nonzero(moves), float(moves.max()), added)
         if moves.max() <= _FITTED and not added:
-            break
+            return sheet
     return sheet
+
+
+def _move_and_divide(
+    sheet: Sheet, scene: Scene, result: Result, depth: Array, sides: tuple[NDArray[np.int64], Array], most: int
+) -> tuple[Sheet, Array]:
+    """The sheet with nodes moved onto edges, and with new nodes on sides, as of `cut_sides`, that no move changes.
+
+    Also returns the moves (n_node,) of the nodes, in mean sizes of an element.
+    """
+    moved = mesher.move_nodes(sheet, *size_field.places_at_edges(scene, result, depth))
+    moves = np.linalg.norm(moved.positions - sheet.positions, axis=1) / np.sqrt(np.mean(scene.tables.sheet.area))
+    changed = np.unique(sheet.triangles[(moves[sheet.triangles] > 0.0).any(1)])
+    ends, share = sides
+    still = ~np.isin(ends, changed).any(1)  # the others are as deep no more
+    return mesher.divide_sides(moved, ends[still], share[still], most), moves
 
 
 def _facts(run: Array) -> dict[str, Any]:
@@ -232,21 +256,3 @@ def _check_end(result: Result, number: int) -> None:
     if not np.isfinite(wall).all() or not (wall > 0.0).all() or int(result.status) & _STOPS:
         problem = f"adaptation pass {number} stopped: {explain(result)}"
         raise InputError(problem, "correct the scene without parison.adapt first", "parison.adapt")
-
-
-def adaptable(document: SceneDocument, **wanted: Any) -> SceneDocument:
-    """The document with keys of `parison.adapt`; those that are None are left as they are, or at their defaults.
-
-    Raises:
-        InputError: A number is out of range, or the scene is refined as it forms.
-    """
-    table = dict(document.data["parison"].get("adapt") or {})
-    table |= {key: value for key, value in wanted.items() if value is not None}
-    tables = document.data | {"parison": document.data["parison"] | {"adapt": table}}
-    return files.validate_scene(tables, document.file, document.folder, document.path)
-
-
-def without_adaptation(document: SceneDocument) -> SceneDocument:
-    """The document on the mesh from which its adaptation begins."""
-    parison = {key: value for key, value in document.data["parison"].items() if key != "adapt"}
-    return files.validate_scene(document.data | {"parison": parison}, document.file, document.folder, document.path)
