@@ -242,10 +242,33 @@ def _moves_to_edges(
     """
     vertices = np.asarray(mold.vertices, float)
     edges = topology.sharp_edges(vertices, np.asarray(mold.triangles))
-    start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    start = np.asarray(scene.parison.positions, float)
     if not edges.size:
         return start[:0], np.zeros(0, np.int64), start[:0], start[:0]
     formed = np.asarray(result.positions, float) - mold.offset_at(float(result.time))
+    node, size, goal, along = _goals_on_edges(vertices, edges, scene, formed, depth)
+    place, over_edge = _places_that_land(scene, formed, node, size, goal)
+    lies = np.asarray(result.stuck)[node] | over_edge
+    return place[lies], node[lies], goal[lies], along[lies]
+
+
+def _goals_on_edges(
+    vertices: Array, edges: NDArray[np.integer], scene: Scene, formed: Array, depth: Array
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """The nodes near edges (4, n_edge) of a tool that are to land on them.
+
+    Args:
+        vertices: Vertices of the tool (n_vertex, 3) [m].
+        edges: Its sharp edges (4, n_edge).
+        scene: The scene.
+        formed: The formed nodes (n_node, 3) [m], in the tool's frame.
+        depth: Depths (n_element,) [m] of the elements in the tool.
+
+    Returns:
+        The nodes (k,), the mean sides (k,) [m] of their formed elements, the places (k, 3) [m] where they are to land,
+        and unit vectors along the edges there (k, 3), zero at corners.
+    """
+    start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
     size = _mean_at_nodes(longest_sides(formed[triangles]), triangles, np.ones(len(triangles)), len(start))
     goal, edge = _nearest_on_edges(formed, vertices, edges, _BESIDE * float(size.max()))
     near = (np.linalg.norm(goal - formed, axis=1) <= _BESIDE * size) & ~np.asarray(scene.parison.clamped)
@@ -255,21 +278,41 @@ def _moves_to_edges(
     near &= _is_convex(vertices, edges[:, edge], start) | cut
     at_corner = _move_to_corners(goal, formed, np.where(near, size, 0.0), vertices[_corners(vertices, edges[:2].T)])
     node = np.flatnonzero(near)
+    way = (vertices[edges[1]] - vertices[edges[0]])[edge[node]]
+    length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), np.finfo(float).tiny)
+    return node, size[node], goal[node], np.where(at_corner[node, None], 0.0, way / length)
+
+
+def _places_that_land(
+    scene: Scene, formed: Array, node: NDArray[np.int64], size: Array, goal: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Places on the initial sheet (k, 3) [m] that land at the goals of nodes, by one of their elements each.
+
+    That is the one which lies over the goal or, where the node lies before it, the one on the far side of the node.
+
+    Args:
+        scene: The scene.
+        formed: The formed nodes (n_node, 3) [m].
+        node: The nodes (k,), in order.
+        size: Mean sides (k,) [m] of their formed elements.
+        goal: Their goals (k, 3) [m].
+
+    Returns:
+        The places, and the mask (k,) of those over which an element lies.
+    """
+    start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
     element, corner = np.nonzero(np.isin(triangles, node))
     owner = np.searchsorted(node, triangles[element, corner])
-    own = formed[triangles[element]]
-    weight = signed_weights(goal[node][owner], own)
-    inside = weights(nearest_places(goal[node][owner], own), own)
-    off = np.linalg.norm(np.einsum("nc,nck->nk", inside, own) - goal[node][owner], axis=1) / size[node][owner]
+    corners = formed[triangles[element]]
+    weight = signed_weights(goal[owner], corners)
+    inside = weights(nearest_places(goal[owner], corners), corners)
+    off = np.linalg.norm(np.einsum("nc,nck->nk", inside, corners) - goal[owner], axis=1) / size[owner]
     # An element on the far side of the node has the largest weight at that corner.
     before = np.where(off <= _ON_EDGE, np.inf, weight[np.arange(len(owner)), corner])
     order = np.lexsort((off, -before, owner))
     first = order[np.searchsorted(owner[order], np.arange(len(node)))]
-    lies = np.asarray(result.stuck)[node] | np.isinf(before[first])
     place = np.einsum("nc,nck->nk", weight[first], start[triangles[element[first]]])
-    way = (vertices[edges[1]] - vertices[edges[0]])[edge[node[lies]]]
-    length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), np.finfo(float).tiny)
-    return place[lies], node[lies], goal[node[lies]], np.where(at_corner[node[lies], None], 0.0, way / length)
+    return place, np.isinf(before[first])
 
 
 def _move_to_corners(goal: Array, formed: Array, size: Array, corners: Array) -> NDArray[np.bool_]:
