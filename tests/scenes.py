@@ -17,7 +17,7 @@ import pytest
 
 import jaxform
 from jaxform import molds, shapes
-from jaxform.adapt import refinement, remeshing
+from jaxform.adapt import element_bisection, refinement
 from jaxform.io import files
 from jaxform.materials import Law
 from jaxform.mesh.shapes import Sheet
@@ -201,7 +201,7 @@ def bisect_scene(scene: Scene, state: State, sheet: Discretization, wanted: jax.
     mesh, adaptivity = state.refined_mesh, scene.adaptivity
     assert adaptivity is not None
     numbers = jnp.where(wanted, mesh.element, NEVER)
-    found = remeshing.close_queue(mesh.split_at, numbers, mesh.element_count, adaptivity[1], state.windows)
+    found = element_bisection.close_queue(mesh.split_at, numbers, mesh.element_count, adaptivity[1], state.windows)
     return refinement._bisect_queue(state, scene, adaptivity, sheet, *found, None)
 
 

@@ -224,13 +224,15 @@ def insert_nodes(
         nodes = _to_frame(nodes, frame)
     opened = clamp_is_open(state, scene)
     nodes = map_blocks(
-        nodes, lambda nodes, births: _interpolate_nodes(nodes, births, scene, forest, volumes, frame, opened)
+        nodes, lambda nodes, insertions: _interpolate_nodes(nodes, insertions, scene, forest, volumes, frame, opened)
     )
     for number, own in enumerate(frames):
         surface = surfaces[number]
 
-        def place(nodes: Nodes, births: _Insertions, surface: ContactSurface = surface, number: int = number) -> Nodes:
-            return _place_on_surface(nodes, births, surface, number, adaptivity, older, state.time)
+        def place(
+            nodes: Nodes, insertions: _Insertions, surface: ContactSurface = surface, number: int = number
+        ) -> Nodes:
+            return _place_on_surface(nodes, insertions, surface, number, adaptivity, older, state.time)
 
         if own is not None and frame is None:
             nodes = _to_frame(nodes, own)
@@ -252,7 +254,7 @@ def _to_frame(nodes: Nodes, frame: ToolFrame) -> Nodes:
 
 def _interpolate_nodes(
     nodes: Nodes,
-    births: _Insertions,
+    insertions: _Insertions,
     scene: Scene,
     forest: BisectionHierarchy,
     volumes: jax.Array,
@@ -266,48 +268,47 @@ def _interpolate_nodes(
     """
     # Displacements, not positions: a new node's initial place may be off its edge, at a rim that is round.
     reference = scene.parison.positions
-    begins = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
-    moved = [nodes.positions[:, end] - begin for end, begin in zip(births.ends, begins, strict=True)]
-    middle = births.join_ends(moved, lambda first, second: 0.5 * (first + second), forest.depth)
-    weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
-    velocities = births.join_ends(
-        [nodes.velocities[:, end] for end in births.ends],
+    begins = [jnp.where(insertions.new, reference[end].T, 0.0) for end in forest.ends[:, insertions.node]]
+    moved = [nodes.positions[:, end] - begin for end, begin in zip(insertions.ends, begins, strict=True)]
+    middle = insertions.join_ends(moved, lambda first, second: 0.5 * (first + second), forest.depth)
+    weight = _weight(volumes, forest.owner[insertions.node], forest.ends[0, insertions.node], forest)
+    velocities = insertions.join_ends(
+        [nodes.velocities[:, end] for end in insertions.ends],
         lambda first, second: weight[None] * first + (1.0 - weight)[None] * second,
         forest.depth,
     )
-    stuck, contact_time, wall, tool = initial_node_state(scene, births.node, opened=opened)
+    stuck, contact_time, wall, tool = initial_node_state(scene, insertions.node, opened=opened)
     moves, speeds = jnp.where(stuck, 0.0, middle), jnp.where(stuck, 0.0, velocities)
     if frame is not None:
         # In the frame of the tool the clamped nodes move.
         clamped = stuck & (wall == 0)
         moves = jnp.where(clamped, -frame.offset[:, None], moves)
         speeds = jnp.where(clamped, -frame.velocity[:, None], speeds)
-    fields = {
-        name: births.put(
-            values, births.join_ends([values[end] for end in births.ends], scene.fields[name].between, forest.depth)
-        )
-        for name, values in nodes.fields.items()
-    }
+
+    def insert_field(name: str, values: jax.Array) -> jax.Array:
+        ends = [values[end] for end in insertions.ends]
+        return insertions.put(values, insertions.join_ends(ends, scene.fields[name].between, forest.depth))
+
     return dataclasses.replace(
         nodes,
-        positions=births.put(nodes.positions, reference[births.node].T + moves),
-        velocities=births.put(nodes.velocities, speeds),
-        stuck=births.put(nodes.stuck, stuck),
+        positions=insertions.put(nodes.positions, reference[insertions.node].T + moves),
+        velocities=insertions.put(nodes.velocities, speeds),
+        stuck=insertions.put(nodes.stuck, stuck),
         # A node that slides may have left the tool that it touched at the start.
-        contact_time=births.put(nodes.contact_time, jnp.where(stuck, contact_time, -1.0)),
-        wall=births.put(nodes.wall, jnp.where(stuck, wall, 0)),
-        tool=None if nodes.tool is None or tool is None else births.put(nodes.tool, tool),
+        contact_time=insertions.put(nodes.contact_time, jnp.where(stuck, contact_time, -1.0)),
+        wall=insertions.put(nodes.wall, jnp.where(stuck, wall, 0)),
+        tool=None if nodes.tool is None or tool is None else insertions.put(nodes.tool, tool),
         temperature=None
         if nodes.temperature is None
-        else births.put(nodes.temperature, _mean_of_ends(nodes.temperature, births)),
-        slip=None if nodes.slip is None else births.put(nodes.slip, _mean_of_ends(nodes.slip, births)),
-        fields=fields,
+        else insertions.put(nodes.temperature, _mean_of_ends(nodes.temperature, insertions)),
+        slip=None if nodes.slip is None else insertions.put(nodes.slip, _mean_of_ends(nodes.slip, insertions)),
+        fields={name: insert_field(name, values) for name, values in nodes.fields.items()},
     )
 
 
-def _mean_of_ends(values: jax.Array, births: _Insertions) -> jax.Array:
+def _mean_of_ends(values: jax.Array, insertions: _Insertions) -> jax.Array:
     """The mean (n,) of values (n_node,) at the ends of the edges that the new nodes divide."""
-    return 0.5 * (values[births.ends[0]] + values[births.ends[1]])
+    return 0.5 * (values[insertions.ends[0]] + values[insertions.ends[1]])
 
 
 def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: BisectionHierarchy) -> jax.Array:
@@ -324,7 +325,7 @@ def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Bisect
 
 def _place_on_surface(
     nodes: Nodes,
-    births: _Insertions,
+    insertions: _Insertions,
     surface: ContactSurface,
     number: int,
     adaptivity: Adaptivity,
@@ -335,7 +336,7 @@ def _place_on_surface(
 
     Args:
         nodes: The nodes, in the frame of the surface.
-        births: The block of new ones.
+        insertions: The block of new ones.
         surface: The surface, of this number in the scene.
         number: The number.
         adaptivity: The adaptive refinement.
@@ -344,19 +345,19 @@ def _place_on_surface(
     """
     (mold, grid, _), (limits, forest) = surface, adaptivity
     touching = jnp.where(on_surface(nodes.tool, number), nodes.wall, 0)
-    points, stuck = births.block_of(nodes.positions), births.block_of(nodes.stuck)
-    free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
+    points, stuck = insertions.block_of(nodes.positions), insertions.block_of(nodes.stuck)
+    free, places = insertions.new & ~stuck, jax.lax.stop_gradient(points)
     if nodes.tool is not None or not mold.contact.sticks:
-        free &= births.block_of(nodes.wall) == 0
+        free &= insertions.block_of(nodes.wall) == 0
     closest, distance = save_decision(nearest_triangle(places, free, grid))
     begin, (crossed, last, side) = save_decision(
-        _paths_from_sheet(places, free, nodes, touching, [older(end) for end in births.ends], surface)
+        _paths_from_sheet(places, free, nodes, touching, [older(end) for end in insertions.ends], surface)
     )
     touches = free & (distance <= search.touch_distance(grid))
     beyond = free & ~touches & (crossed % 2 == 1)
-    ends = [nodes.stuck[at] | (touching[at] != 0) for at in births.ends]
-    held = births.join_ends(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
-    lands = births.new & held & ~stuck
+    ends = [nodes.stuck[at] | (touching[at] != 0) for at in insertions.ends]
+    held = insertions.join_ends(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
+    lands = insertions.new & held & ~stuck
     # The nearest triangle, and the one that the way from the sheet crosses last, in one go.
     both, known = jnp.append(closest, last), jnp.append(free & (closest >= 0), free & (last >= 0))
     nearest, front = jnp.split(closest_place(jnp.tile(points, 2), mold, jnp.maximum(both, 0), known), 2, axis=1)
@@ -364,7 +365,7 @@ def _place_on_surface(
     chosen = jnp.where(turned, jnp.maximum(last, 0), closest)
     triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
     point = jnp.where(turned, front, nearest)
-    velocities = births.block_of(nodes.velocities)
+    velocities = insertions.block_of(nodes.velocities)
     if mold.contact.sticks:
         velocities = jnp.where(lands, 0.0, velocities)
     else:
@@ -372,23 +373,25 @@ def _place_on_surface(
         slip = project_on_plane(unstack_rows(velocities), unstack_rows(_normal(mold, triangle)), mobile)
         velocities = jnp.where(lands, jnp.stack(slip), velocities)
     if limits.at_rest:
-        edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
-        length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
+        edge = nodes.positions[:, insertions.ends[0]] - nodes.positions[:, insertions.ends[1]]
+        length = jnp.sqrt(jnp.where(insertions.new, dot(edge, edge), 1.0))
         gap, size = jnp.where(flies, points - point, 1.0), jnp.minimum(length, grid.reach)
         velocities = jnp.where(flies, _velocity_share(gap, size), 1.0)[None] * velocities
     # It is on the side of the place where its path begins; the path to one beyond may begin at another triangle.
     above = jnp.where(beyond, -_height(places, mold, triangle), _height(begin, mold, triangle))
     side = jnp.where(above < 0.0, -1, 1)
+
+    def put_landed(values: jax.Array, landed: jax.Array | int) -> jax.Array:
+        return insertions.put(values, jnp.where(lands, landed, insertions.block_of(values)))
+
     return dataclasses.replace(
         nodes,
-        positions=births.put(nodes.positions, jnp.where(lands, point, points)),
-        velocities=births.put(nodes.velocities, velocities),
-        stuck=births.put(nodes.stuck, stuck | lands if mold.contact.sticks else stuck),
-        contact_time=births.put(nodes.contact_time, jnp.where(lands, time, births.block_of(nodes.contact_time))),
-        wall=births.put(nodes.wall, jnp.where(lands, side * (triangle + 1), births.block_of(nodes.wall))),
-        tool=None
-        if nodes.tool is None
-        else births.put(nodes.tool, jnp.where(lands, number, births.block_of(nodes.tool))),
+        positions=insertions.put(nodes.positions, jnp.where(lands, point, points)),
+        velocities=insertions.put(nodes.velocities, velocities),
+        stuck=insertions.put(nodes.stuck, stuck | lands if mold.contact.sticks else stuck),
+        contact_time=put_landed(nodes.contact_time, time),
+        wall=put_landed(nodes.wall, side * (triangle + 1)),
+        tool=None if nodes.tool is None else put_landed(nodes.tool, number),
     )
 
 

@@ -97,7 +97,7 @@ def _search_with_lines(sheet: Sheet, size: Array, elements: int, lines: Sequence
     made = _search_count(sheet, size, elements, lines)
     for _ in range(_CLEARINGS):
         middle = made.positions[made.triangles].mean(1)
-        height = _heights(made.positions, made.triangles) / _Old(sheet).at(size, middle)
+        height = _heights(made.positions, made.triangles) / _OldMesh(sheet).at(size, middle)
         found = middle[height < _LOW * np.median(height)]
         if not len(found):
             break
@@ -141,9 +141,9 @@ def _scale_to_count(sheet: Sheet, size: Array, elements: int) -> Array:
 _NONE = np.zeros(0, np.int64), np.zeros((0, 2), np.int64)
 
 
-def _remesh_once(sheet: Sheet, size: Array, lines: tuple[Index, Index] = _NONE) -> Sheet:
-    """The remeshed sheet; some nodes (k,) stay where they are, and pairs of them (m, 2) are joined by edges."""
-    required, pairs = lines
+def _remesh_once(sheet: Sheet, size: Array, line_nodes: tuple[Index, Index] = _NONE) -> Sheet:
+    """The remeshed sheet; nodes of lines (k,) stay where they are, and pairs of them (m, 2) are joined by edges."""
+    required, pairs = line_nodes
     edge = topology.boundary_edges(sheet.triangles)
     kinds, reference = np.unique(_holds(sheet, edge), axis=0, return_inverse=True)
     points, triangles, edges, references = _call_mmg(sheet, size, edge, reference.ravel(), required)
@@ -180,12 +180,12 @@ def _call_mmg(
     if len(edge):
         # Zero would be no reference at all.
         mesh.set_edges(np.ascontiguousarray(edge, np.int32), (reference + 1).astype(np.int32))
-    kept, corners = _kept_nodes(sheet, edge, reference)
+    own, corners = _required_nodes(sheet, edge, reference)
     if len(corners):
         mesh.set_corners(corners.astype(np.int32))
-    kept = np.union1d(kept, required)
-    if len(kept):
-        mesh.set_required_vertices(kept.astype(np.int32))
+    required = np.union1d(own, required)
+    if len(required):
+        mesh.set_required_vertices(required.astype(np.int32))
     still = np.flatnonzero(sheet.clamped[sheet.triangles].all(1))
     if len(still):
         mesh.set_required_triangles(still.astype(np.int32))
@@ -212,7 +212,7 @@ def _call_mmg(
     return points, triangles, np.asarray(edges, np.int64), np.asarray(references, np.int64) - 1
 
 
-def _kept_nodes(sheet: Sheet, edge: Index, reference: Index) -> tuple[Index, Index]:
+def _required_nodes(sheet: Sheet, edge: Index, reference: Index) -> tuple[Index, Index]:
     """Nodes that stay where they are, and the corners among them.
 
     Nodes where a boundary turns or is held in another way from there on; where nothing says what the true boundary is,
@@ -269,7 +269,7 @@ def _place_nodes(sheet: Sheet, boundary: _Boundary, points: Array, edges: Index,
     """The points (n, 3) [m] on the true surface and boundary, and exactly in their symmetry planes."""
     points = points.copy()
     if np.ptp(sheet.positions[:, 2]) > 0.0:
-        on_old = _Old(sheet).nearest(points) if sheet.snap is None else points
+        on_old = _OldMesh(sheet).nearest(points) if sheet.snap is None else points
         points = _snap(sheet, on_old, np.repeat(on_old[:, None], 2, axis=1), rim=False)
     for number, kind in enumerate(boundary.kinds):
         nodes = np.unique(edges[references == number])
@@ -303,8 +303,8 @@ def _on_edges(edges: Array, points: Array) -> tuple[Array, Array]:
     return places, edges[nearest]
 
 
-class _Old:
-    """The old mesh: the places nearest to points, and nodal values there."""
+class _OldMesh:
+    """The mesh before: the places nearest to points, and nodal values there."""
 
     def __init__(self, sheet: Sheet) -> None:
         self.sheet = sheet
@@ -325,7 +325,7 @@ def carry_fields(sheet: Sheet, points: Array) -> dict[str, Array]:
     """The sheet's nodal fields at points (n, 3) [m], linear within its triangles."""
     if not sheet.fields:
         return {}
-    values = _Old(sheet).at(np.stack(list(sheet.fields.values()), axis=1), points)
+    values = _OldMesh(sheet).at(np.stack(list(sheet.fields.values()), axis=1), points)
     return dict(zip(sheet.fields, values.T, strict=True))
 
 
@@ -379,7 +379,7 @@ def to_surface(sheet: Sheet, places: Array) -> Array:
     moved = (places != sheet.positions).any(1)
     if not moved.any() or np.ptp(sheet.positions[:, 2]) == 0.0:
         return places
-    on_old = _Old(sheet).nearest(places[moved])
+    on_old = _OldMesh(sheet).nearest(places[moved])
     on_surface = places.copy()
     on_surface[moved] = _snap(sheet, on_old, np.repeat(on_old[:, None], 2, axis=1), rim=False)
     return np.where(sheet.fixed, sheet.positions, on_surface)
@@ -450,7 +450,7 @@ _SLIVER = 0.1  # of the area of two triangles, which each is larger than when th
 _ON_SIDE = 0.1  # share of a triangle's height: a point as near to a side divides the side, not the triangle
 
 
-def _space_points(sheet: Sheet, old: _Old, size: Array, lines: Sequence[Array]) -> tuple[Array, Index]:
+def _space_points(sheet: Sheet, old: _OldMesh, size: Array, lines: Sequence[Array]) -> tuple[Array, Index]:
     """Points (n, 3) [m] along lines, about a size apart, and pairs (m, 2) of those that follow one another on a line.
 
     The ends of all lines are chosen first, then what is between them. A point as near to another one as to be left out
@@ -499,7 +499,7 @@ def _insert_points(
 
     Nodes within a size of places (k, 3) [m] are left out.
     """
-    old = _Old(sheet)
+    old = _OldMesh(sheet)
     points, pairs = _space_points(sheet, old, size, lines)
     if len(points) and len(low):
         away, nearest = KDTree(low).query(points)
@@ -538,9 +538,9 @@ def _triangles_of_nodes(triangles: NDArray[np.integer], count: int) -> list[Inde
 def _join_nodes(points: Array, triangles: Index, pairs: Index, least: float) -> Index:
     """The triangles with edges between pairs of nodes (m, 2), where turning the edge between leaves no sliver."""
     triangles = triangles.copy()
-    kept = {(int(min(pair)), int(max(pair))) for pair in pairs}
-    around = _triangles_of_nodes(triangles, len(points)) if kept else []
-    for a, b in kept:
+    joined = {(int(min(pair)), int(max(pair))) for pair in pairs}
+    around = _triangles_of_nodes(triangles, len(points)) if joined else []
+    for a, b in joined:
         of_a, of_b = around[a], around[b]
         if len(np.intersect1d(of_a, of_b)):
             continue
@@ -551,7 +551,7 @@ def _join_nodes(points: Array, triangles: Index, pairs: Index, least: float) -> 
             new = np.array([[a, c, b], [a, b, d]])
             if (
                 other
-                and (min(c, d), max(c, d)) not in kept
+                and (min(c, d), max(c, d)) not in joined
                 and _turn_alike(points, new, triangles[[one, other[0]]], least)
             ):
                 triangles[[one, other[0]]] = new

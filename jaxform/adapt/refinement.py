@@ -13,8 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.adapt.insertion import insert_nodes, present_frames
-from jaxform.adapt.remeshing import (
+from jaxform.adapt.element_bisection import (
     Queue,
     add_sides,
     bisect_mesh,
@@ -23,6 +22,7 @@ from jaxform.adapt.remeshing import (
     inherit_stress,
     make_queue,
 )
+from jaxform.adapt.insertion import insert_nodes, present_frames
 from jaxform.kernels import capacities
 from jaxform.kernels.blocks import BLOCK, compact_indices, lax_cond_once, over_blocks, padded_length
 from jaxform.kernels.derivatives import save_decision
@@ -71,10 +71,10 @@ def refine(
         due, wanted = _is_due(state, adaptivity), functools.partial(_requested_queue, scene=scene)
 
     def refine_now(pair: tuple[State, Discretization]) -> tuple[State, Discretization]:
-        state, body = pair
+        state, discrete = pair
         state = dataclasses.replace(state, mesh=add_sides(state.refined_mesh, adaptivity[1]))
-        state, body = _bisect_queue(state, scene, adaptivity, body, *wanted(state, body, adaptivity), None)
-        return drop_sides(state), body
+        state, discrete = _bisect_queue(state, scene, adaptivity, discrete, *wanted(state, discrete, adaptivity), None)
+        return drop_sides(state), discrete
 
     return lax_cond_once(save_decision(due), refine_now, (state, discrete), differentiable=True)
 
@@ -96,15 +96,15 @@ def refine_in_place(
         return state, discrete, active
 
     def refine_now(pair: Any) -> tuple[PackedState, Discretization, Any]:
-        packed, body, _ = pair
+        packed, discrete, _ = pair
         state = active.unpack_state(packed)
-        state, body = _bisect_queue(
-            state, scene, adaptivity, body, *_requested_queue(state, body, adaptivity, scene), active
+        state, discrete = _bisect_queue(
+            state, scene, adaptivity, discrete, *_requested_queue(state, discrete, adaptivity, scene), active
         )
         inactive = active.inactive
         if inactive is not None and state.memory is not None:
             inactive = dataclasses.replace(inactive, stress=state.memory[:, inactive.element], since=state.time)
-        return active.pack_state(state), body, (state.memory, inactive, state.heat)
+        return active.pack_state(state), discrete, (state.memory, inactive, state.heat)
 
     before = state, discrete, (active.memory, active.inactive, active.heat)
     state, discrete, (memory, inactive, heat) = lax_cond_once(_is_due(state, adaptivity), refine_now, before)
@@ -308,8 +308,8 @@ def _bisect_queue(
     state = dataclasses.replace(state, status=state.status | full)
 
     def bisect(pair: tuple[State, Discretization]) -> tuple[State, Discretization]:
-        state, body = pair
-        return _bisect_state(state, scene, adaptivity, body, split_at, queue, active)
+        state, discrete = pair
+        return _bisect_state(state, scene, adaptivity, discrete, split_at, queue, active)
 
     return lax_cond_once(
         save_decision(fits & (queue.count > 0)), bisect, (state, discrete), differentiable=active is None
@@ -339,11 +339,11 @@ def _bisect_state(
     differentiable, (_, forest), properties = active is None, adaptivity, discrete.forest_properties
     before, state = state, synchronize_velocity(state, scene, discrete, active)
     mesh = dataclasses.replace(bisect_mesh(state.refined_mesh, queue, forest), split_at=split_at)
-    body = refined_discretization(scene, forest, mesh, properties)
+    finer = refined_discretization(scene, forest, mesh, properties)
     new = insert_nodes(state, mesh, scene, adaptivity, properties[0], differentiable=differentiable)
     new = dataclasses.replace(_inherit_state(new, state, mesh, forest), mesh=mesh)
     energy, volume = _energy_and_volume(state, scene, discrete, differentiable=differentiable)
-    new_energy, new_volume = _energy_and_volume(new, scene, body, differentiable=differentiable)
+    new_energy, new_volume = _energy_and_volume(new, scene, finer, differentiable=differentiable)
     loss = energy - new_energy
     made = dataclasses.replace(
         new,
@@ -356,7 +356,7 @@ def _bisect_state(
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
     sound = save_decision(jnp.isfinite(loss))
-    return lax_cond_once(~sound, lambda _: (before, discrete), (made, body), differentiable=differentiable)
+    return lax_cond_once(~sound, lambda _: (before, discrete), (made, finer), differentiable=differentiable)
 
 
 def _energy_and_volume(

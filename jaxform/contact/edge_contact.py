@@ -44,6 +44,7 @@ from jaxform.tools.mold import Mold, ToolFrame
 from jaxform.tools.surface_walk import ContactSurface
 
 NOT_HELD = jnp.iinfo(jnp.int32).max
+"""The step of an unused entry of held sides."""
 _MOST_PASSES, _ACCURACY = 100, 1e-9  # of the solver: passes, and what is left of the gaps
 _ROUNDINGS = 64  # that the gaps are accurate to, in float32
 _SOFTNESS = 1e-5  # of a held side's own compliance: where more are held than can be
@@ -504,12 +505,12 @@ def _mobilities(
 
 
 class _Pushes(NamedTuple):
-    """Pushes (3, room) so far, the gaps that they leave, the next direction, and the square of what is left."""
+    """Pushes (3, room) so far, the residual gaps, the next direction, and the residual's weighted square."""
 
     count: jax.Array
     push: jax.Array
-    left: jax.Array
-    way: jax.Array
+    residual: jax.Array
+    direction: jax.Array
     square: jax.Array
 
 
@@ -519,19 +520,20 @@ def _conjugate_gradients(displace: Callable[[jax.Array], jax.Array], gap: jax.Ar
     first = _Pushes(jnp.int32(0), jnp.zeros_like(gap), gap, start, jnp.sum(gap * start))
     least = max(_ACCURACY, _ROUNDINGS * float(jnp.finfo(gap.dtype).eps)) ** 2 * first.square
 
-    def more(now: _Pushes) -> jax.Array:
-        return (now.count < _MOST_PASSES) & (now.square > least)
+    def is_inaccurate(pushes: _Pushes) -> jax.Array:
+        return (pushes.count < _MOST_PASSES) & (pushes.square > least)
 
-    def improve(now: _Pushes) -> _Pushes:
-        along = displace(now.way)
-        size = jnp.sum(now.way * along)
-        step = now.square / jnp.where(size > 0.0, size, jnp.inf)
-        left = now.left - step * along
-        ahead = inverse * left
-        square = jnp.sum(left * ahead)
-        return _Pushes(now.count + 1, now.push + step * now.way, left, ahead + square / now.square * now.way, square)
+    def improve(pushes: _Pushes) -> _Pushes:
+        count, push, residual, direction, before = pushes
+        displaced = displace(direction)
+        size = jnp.sum(direction * displaced)
+        step = before / jnp.where(size > 0.0, size, jnp.inf)
+        residual = residual - step * displaced
+        ahead = inverse * residual
+        square = jnp.sum(residual * ahead)
+        return _Pushes(count + 1, push + step * direction, residual, ahead + square / before * direction, square)
 
-    return jax.lax.while_loop(more, improve, first).push
+    return jax.lax.while_loop(is_inaccurate, improve, first).push
 
 
 def _add_at_ends(values: Any, changes: list[jax.Array], held: HeldSides, scatter: bool) -> Any:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.adapt.remeshing import initial_mesh
+from jaxform.adapt.element_bisection import initial_mesh
 from jaxform.contact.broad_phase import PAIRS_PER_NODE, BroadPhaseCheck
 from jaxform.contact.edge_contact import HeldSides, no_held_sides
 from jaxform.contact.facet_slip import KnownFacets

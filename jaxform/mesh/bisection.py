@@ -294,7 +294,7 @@ def rim_sides(forest: TriangleForest) -> NDArray[np.bool_]:
 
 
 def closure(split: NDArray[np.bool_], forest: TriangleForest) -> NDArray[np.bool_]:
-    """Mask (n_triangle,) of triangles bisected with those split: no node hangs; see `remeshing.close_queue`."""
+    """Mask (n_triangle,) of triangles bisected with those split so that no node hangs; see `close_queue` of `adapt`."""
     split, new = split.copy(), np.flatnonzero(split)
     while len(new):
         inner = new[new >= forest.root_count]

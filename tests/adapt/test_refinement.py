@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform.adapt import refinement, remeshing
+from jaxform.adapt import element_bisection, refinement
 from jaxform.core.errors import InputError
 from jaxform.io import output
 from jaxform.mesh import meshes, topology
@@ -96,7 +96,7 @@ def lists_of(mesh: discretization.RefinedMesh, forest: BisectionHierarchy) -> No
     side = np.full(forest.half_edge_count, -1)
     side[half] = np.arange(count)
     np.testing.assert_array_equal(mesh.side, side)
-    np.testing.assert_array_equal(remeshing.add_sides(mesh, forest).side, side)
+    np.testing.assert_array_equal(element_bisection.add_sides(mesh, forest).side, side)
     corner, room = np.asarray(mesh.corner), mesh.corner_count
     np.testing.assert_array_equal(np.bincount(places[triangles].ravel(), minlength=room.size), room)
     np.testing.assert_array_equal((corner >= 0).sum(0), room)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from jaxform import shapes
-from jaxform.adapt.remeshing import Queue, close_queue
+from jaxform.adapt.element_bisection import Queue, close_queue
 from jaxform.core.errors import InputError
 from jaxform.mesh import bisection, topology
 from jaxform.mesh.bisection import TriangleForest

@@ -53,6 +53,10 @@ def make_queue(found: jax.Array, count: jax.Array, forest: BisectionHierarchy | 
     )
 
 
+_Growing = tuple[jax.Array, jax.Array, jax.Array]
+"""Windows of bisection, the queue with a spare entry, and its count, while it is closed."""
+
+
 def close_queue(
     split_at: jax.Array,
     wanted: jax.Array,
@@ -101,9 +105,6 @@ def close_queue(
         lambda carry: carry[0] < carry[1][2], follow, (jnp.int32(0), growing)
     )
     return split_at, make_queue(queue[:capacity], found, forest)
-
-
-_Growing = tuple[jax.Array, jax.Array, jax.Array]  # split_at, the queue with a spare entry, its count
 
 
 def bisect_mesh(mesh: RefinedMesh, queue: Queue, forest: BisectionHierarchy) -> RefinedMesh:
