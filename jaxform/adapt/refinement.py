@@ -44,8 +44,6 @@ from jaxform.sheet.scheme import synchronize_velocity
 from jaxform.sheet.state import PackedState, Schedule, State, Status
 from jaxform.tools.search import SearchGrid, cell_of
 
-_SPARE_BLOCKS = 2
-
 
 def refine(
     state: State, scene: Scene, discrete: Discretization, schedule: Schedule | None = None
@@ -141,75 +139,6 @@ def _requested_queue(
     return close_queue(mesh.split_at, mesh.element[place], count, forest, state.windows)
 
 
-def _within_reach(
-    first: Vector, edge1: Vector, edge2: Vector, bend: Bend, grid: SearchGrid, reach: jax.Array
-) -> jax.Array:
-    """Distance (n,) [m] by which a bent part of the mold is within reach of triangles (n,) with such edges [m].
-
-    The reach is a multiple of their longest side.
-    """
-    square = functools.reduce(jnp.maximum, (dot(side, side) for side in (edge1, edge2, minus(edge2, edge1))))
-    middle = jnp.stack([p + (a + b) / 3.0 for p, a, b in zip(first, edge1, edge2, strict=True)])
-    cell = cell_of(middle, grid, bend.parts)
-    return reach * jnp.sqrt(square) - gather(bend.distance, cell)
-
-
-def can_enlarge_capacity(adaptivity: Adaptivity) -> bool:
-    """True where the forest has more elements than the capacity."""
-    limits, forest = adaptivity
-    return limits.elements < forest.root_count << forest.depth
-
-
-def fitted(scene: Scene, used: int) -> Scene:
-    """A scene with capacity for somewhat more elements than were `used` in a run: unused capacity takes time too.
-
-    A scene without refinement, or with no more capacity than that, is unchanged.
-    """
-    if scene.adaptivity is None:
-        return scene
-    limits, forest = scene.adaptivity
-    blocks = min(_SPARE_BLOCKS + -(-used // BLOCK), -(-(forest.root_count << forest.depth) // BLOCK))
-    if used <= limits.elements <= blocks * BLOCK:
-        return scene
-    return _replace_adaptivity(scene, _enlarge(scene.adaptivity, blocks))
-
-
-def _enlarge(adaptivity: Adaptivity, blocks: int) -> Adaptivity:
-    elements, (limits, forest) = blocks * BLOCK, adaptivity
-    nodes = refined_node_capacity(elements, forest.first_nodes, forest.owner.size)
-    return dataclasses.replace(limits, elements=elements), dataclasses.replace(forest, node_capacity=nodes)
-
-
-def _replace_adaptivity(scene: Scene, adaptivity: Adaptivity) -> Scene:
-    limits, forest = adaptivity
-    return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, forest=forest), refinement=limits)
-
-
-def enlarge_capacity(scene: Scene, adaptivity: Adaptivity, state: State) -> tuple[Scene, State]:
-    """A scene with twice the capacity for elements, and the state as it was before the capacity was exceeded."""
-    (limits, _), mesh = adaptivity, state.refined_mesh
-    more = _enlarge(adaptivity, capacities.refined_capacity(2 * limits.elements) // BLOCK)
-    elements, nodes = more[0].elements, more[1].node_capacity
-    beyond = _pad(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
-    grown = dataclasses.replace(
-        mesh,
-        element=_pad(mesh.element, elements),
-        node=_pad(mesh.node, nodes),
-        corner=beyond,
-        corner_count=_pad(mesh.corner_count, nodes),
-        row=_pad(mesh.row, elements),
-    )
-    status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
-    memory, heat = jax.tree.map(lambda rows: _pad(rows, elements), (state.memory, state.heat))
-    nodes = state.nodes.pad(nodes)
-    state = dataclasses.replace(state, nodes=nodes, mesh=grown, memory=memory, heat=heat, status=status)
-    return _replace_adaptivity(scene, more), state
-
-
-def _pad(values: jax.Array, count: int) -> jax.Array:
-    return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
-
-
 def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> jax.Array:
     """Mask (element_capacity,) of the elements to bisect for their own and their neighbours' shape."""
     state, discrete, adaptivity, scene = jax.lax.stop_gradient((state, discrete, adaptivity, scene))
@@ -264,6 +193,19 @@ def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, gr
     return found
 
 
+def _within_reach(
+    first: Vector, edge1: Vector, edge2: Vector, bend: Bend, grid: SearchGrid, reach: jax.Array
+) -> jax.Array:
+    """Distance (n,) [m] by which a bent part of the mold is within reach of triangles (n,) with such edges [m].
+
+    The reach is a multiple of their longest side.
+    """
+    square = functools.reduce(jnp.maximum, (dot(side, side) for side in (edge1, edge2, minus(edge2, edge1))))
+    middle = jnp.stack([p + (a + b) / 3.0 for p, a, b in zip(first, edge1, edge2, strict=True)])
+    cell = cell_of(middle, grid, bend.parts)
+    return reach * jnp.sqrt(square) - gather(bend.distance, cell)
+
+
 def _is_bent(element: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.Array) -> jax.Array:
     """True where a normal of an element (n,) or of a neighbour is far from the mean of the group's (paper, 3.3)."""
     normal = element[0], element[1], element[2]
@@ -316,16 +258,6 @@ def _bisect_queue(
     )
 
 
-def _inherit_state(new: State, state: State, mesh: RefinedMesh, forest: BisectionHierarchy) -> State:
-    """The state on a new mesh, with the quantities that its elements inherit from the old ones."""
-    if state.memory is None and state.heat is None:
-        return new
-    element, parts = find_ancestry(state.refined_mesh, mesh, forest)
-    memory = None if state.memory is None else inherit_stress(state.memory, element, parts)
-    heat = None if state.heat is None else state.heat.select(element)
-    return dataclasses.replace(new, memory=memory, heat=heat)
-
-
 def _bisect_state(
     state: State,
     scene: Scene,
@@ -359,6 +291,16 @@ def _bisect_state(
     return lax_cond_once(~sound, lambda _: (before, discrete), (made, finer), differentiable=differentiable)
 
 
+def _inherit_state(new: State, state: State, mesh: RefinedMesh, forest: BisectionHierarchy) -> State:
+    """The state on a new mesh, with the quantities that its elements inherit from the old ones."""
+    if state.memory is None and state.heat is None:
+        return new
+    element, parts = find_ancestry(state.refined_mesh, mesh, forest)
+    memory = None if state.memory is None else inherit_stress(state.memory, element, parts)
+    heat = None if state.heat is None else state.heat.select(element)
+    return dataclasses.replace(new, memory=memory, heat=heat)
+
+
 def _energy_and_volume(
     state: State, scene: Scene, discrete: Discretization, *, differentiable: bool
 ) -> tuple[jax.Array, jax.Array]:
@@ -368,3 +310,64 @@ def _energy_and_volume(
         return strain_energy(state, scene, discrete) + kinetic, enclosed_volume(state.nodes.positions, discrete.sheet)
     energy, volume = totals_of(state, scene, discrete)
     return energy + kinetic, volume
+
+
+# Capacity for elements and nodes.
+
+_SPARE_BLOCKS = 2
+
+
+def can_enlarge_capacity(adaptivity: Adaptivity) -> bool:
+    """True where the forest has more elements than the capacity."""
+    limits, forest = adaptivity
+    return limits.elements < forest.root_count << forest.depth
+
+
+def fitted(scene: Scene, used: int) -> Scene:
+    """A scene with capacity for somewhat more elements than were `used` in a run: unused capacity takes time too.
+
+    A scene without refinement, or with no more capacity than that, is unchanged.
+    """
+    if scene.adaptivity is None:
+        return scene
+    limits, forest = scene.adaptivity
+    blocks = min(_SPARE_BLOCKS + -(-used // BLOCK), -(-(forest.root_count << forest.depth) // BLOCK))
+    if used <= limits.elements <= blocks * BLOCK:
+        return scene
+    return _replace_adaptivity(scene, _enlarge(scene.adaptivity, blocks))
+
+
+def enlarge_capacity(scene: Scene, adaptivity: Adaptivity, state: State) -> tuple[Scene, State]:
+    """A scene with twice the capacity for elements, and the state as it was before the capacity was exceeded."""
+    (limits, _), mesh = adaptivity, state.refined_mesh
+    more = _enlarge(adaptivity, capacities.refined_capacity(2 * limits.elements) // BLOCK)
+    elements, nodes = more[0].elements, more[1].node_capacity
+    beyond = _pad(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
+    grown = dataclasses.replace(
+        mesh,
+        element=_pad(mesh.element, elements),
+        node=_pad(mesh.node, nodes),
+        corner=beyond,
+        corner_count=_pad(mesh.corner_count, nodes),
+        row=_pad(mesh.row, elements),
+    )
+    status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
+    memory, heat = jax.tree.map(lambda rows: _pad(rows, elements), (state.memory, state.heat))
+    nodes = state.nodes.pad(nodes)
+    state = dataclasses.replace(state, nodes=nodes, mesh=grown, memory=memory, heat=heat, status=status)
+    return _replace_adaptivity(scene, more), state
+
+
+def _enlarge(adaptivity: Adaptivity, blocks: int) -> Adaptivity:
+    elements, (limits, forest) = blocks * BLOCK, adaptivity
+    nodes = refined_node_capacity(elements, forest.first_nodes, forest.owner.size)
+    return dataclasses.replace(limits, elements=elements), dataclasses.replace(forest, node_capacity=nodes)
+
+
+def _replace_adaptivity(scene: Scene, adaptivity: Adaptivity) -> Scene:
+    limits, forest = adaptivity
+    return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, forest=forest), refinement=limits)
+
+
+def _pad(values: jax.Array, count: int) -> jax.Array:
+    return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
