@@ -26,6 +26,8 @@ OPEN = 0.2  # of the opening's depth: what is left open of a part that does not 
 _NOTICED = 0.02  # of the same, that is warned of
 _SMALL = 2e-3  # of the mold's size: a smaller gap is not measured against the depth
 _BRIDGED, _WIDE = 2.0, 0.025  # sides of an element, and of the mold's size, that a gap which stays open is wide
+FINER = "make the elements smaller (parison.element_size or parison.elements)"
+"""The remedy where elements are too large for the mold, whichever key the sheet has."""
 
 
 class Filling(NamedTuple):
@@ -210,8 +212,8 @@ def warnings_of_filling(result: Result, scene: Scene, filling: Filling) -> list[
             return []
         return [
             f"a gap of {gap.width:.3g} m between sheet and mold is closed off by contact all around, at "
-            f"{format_place(gap.place)}: its elements are too large to follow the mold there; add [refinement], or "
-            "make parison.element_size smaller"
+            f"{format_place(gap.place)}: its elements are too large to follow the mold there; "
+            f"{remedy_of_bridge(scene)}"
         ]
     if not noticed:
         return []
@@ -220,6 +222,14 @@ def warnings_of_filling(result: Result, scene: Scene, filling: Filling) -> list[
         f"{100 * gap.width / filling.depth:.0f} % of the opening's depth; raise the pressure or solver.end_time, or "
         "set mold.fill = false"
     ]
+
+
+def remedy_of_bridge(scene: Scene) -> str:
+    """Remedies for elements that are too large to follow the mold: those that the scene can use."""
+    if scene.refinement is not None:
+        return f"{FINER}, or refinement.max_level larger"
+    can_refine = not scene.solver.edge_contact and not scene.solver.smooth_landing
+    return f"add [refinement], or {FINER}" if can_refine else FINER
 
 
 def _offset_gap(gap: Gap, offset: Array) -> Gap:

@@ -19,7 +19,7 @@ from jaxform.mesh.topology import components
 from jaxform.mesh.volumes import longest_sides
 from jaxform.model.replacement import describe_out_of_range
 from jaxform.model.scene import Scene
-from jaxform.results.filling import measure_filling, warnings_of_filling
+from jaxform.results.filling import FINER, measure_filling, warnings_of_filling
 from jaxform.results.part import restrict_to_part, rim_elements, thinnest_element, warnings_of_part
 from jaxform.results.recovery import thinnest_recovered
 from jaxform.results.result import Energy, Result, Seconds, warnings_of_no_work
@@ -348,7 +348,7 @@ def _remedy_of_depth(name: str) -> str:
     """The remedy where a sheet penetrates the tool of this name: a mold is as wide as it, another tool need not be."""
     if name == "the mold":
         return "make the mold as wide as the sheet, or the elements smaller"
-    return f"make parison.element_size smaller, add [refinement], or round the edge of {name}"
+    return f"{FINER}, add [refinement], or round the edge of {name}"
 
 
 def _warnings_of_ribs(beyond: Penetration, scene: Scene, name: str) -> list[str]:
@@ -367,12 +367,12 @@ def _warnings_of_ribs(beyond: Penetration, scene: Scene, name: str) -> list[str]
 def _remedy_at_edges(scene: Scene) -> str:
     """Remedies for edges of tools that pass between nodes: the options that the scene can use and does not."""
     if scene.refinement is not None:
-        return "make parison.element_size smaller, or refinement.max_level larger"
-    finer = "make parison.element_size smaller there, run `jaxform adapt`, or"
+        return f"{FINER}, or refinement.max_level larger"
+    finer = f"{FINER}, run `jaxform adapt`, or"
     if scene.solver.edge_contact:
         return f"{finer} replace solver.edge_contact by [refinement]"
     if scene.solver.smooth_landing:
-        return "make parison.element_size smaller there"
+        return FINER
     return f"set solver.edge_contact = true, {finer} add [refinement]"
 
 

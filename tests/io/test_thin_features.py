@@ -90,7 +90,7 @@ def test_a_pin_within_an_element_is_warned_of_after_the_run_with_edge_contact(tm
     words = (
         r"passed through a rib or pin of the mold in 1 place; at .* it stands 0\.018 m above the sheet .* no node met "
         r"it; "
-        r".*make parison\.element_size smaller there, run `jaxform adapt`, or "
+        r".*make the elements smaller \(parison.* or parison\.elements\), run `jaxform adapt`, or "
         r"replace solver\.edge_contact by \[refinement\]"
     )
     assert any(re.search(words, warning) for warning in facts["warnings"]), facts["warnings"]

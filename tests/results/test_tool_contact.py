@@ -15,6 +15,7 @@ import jaxform
 from jaxform import molds, shapes
 from jaxform.core.pytree import as_real
 from jaxform.io.output import write_part
+from jaxform.results.filling import FINER, remedy_of_bridge
 from jaxform.results.size_field import edge_lines
 from jaxform.results.summary import (
     _warnings_of_depth,
@@ -289,7 +290,7 @@ def test_a_warning_of_penetration_names_the_tool_and_its_remedy() -> None:
     deep = Penetration(0.0, 1.0, np.zeros(3))
     (found,) = _warnings_of_penetration(result, scene, deep, scene.tools[0])
     assert found.startswith("the sheet penetrates tool plug, by up to 1 m at ")
-    assert found.endswith("make parison.element_size smaller, add [refinement], or round the edge of tool plug")
+    assert found.endswith(f"{FINER}, add [refinement], or round the edge of tool plug")
     (of_mold,) = _warnings_of_depth(result, scene, deep, "the mold")
     assert of_mold.endswith("make the mold as wide as the sheet, or the elements smaller")
 
@@ -310,16 +311,17 @@ def test_the_remedy_for_edges_between_nodes_is_one_that_the_scene_can_have() -> 
         return [sentence.rsplit("; ", 1)[1] for sentence in sentences]
 
     assert all(words.startswith("set solver.edge_contact = true") for words in remedies())
-    words = (
-        "make parison.element_size smaller there, run `jaxform adapt`, or replace solver.edge_contact by [refinement]"
-    )
+    words = f"{FINER}, run `jaxform adapt`, or replace solver.edge_contact by [refinement]"
     assert remedies(edge_contact=True) == [words] * 2
-    assert remedies(smooth_landing=True) == ["make parison.element_size smaller there"] * 2
+    assert remedies(smooth_landing=True) == [FINER] * 2
     refined = dataclasses.replace(
         scene, refinement=jaxform.make_refinement(angle=10.0, interval=1, max_level=2, elements=99)
     )
     (sentence,) = _warnings_of_penetration(result, refined, rib, scene.tools[0])
     assert "edge_contact" not in sentence and "refinement.max_level larger" in sentence
+    held = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, edge_contact=True))
+    bridged = [remedy_of_bridge(each) for each in (scene, held, refined)]
+    assert bridged == [f"add [refinement], or {FINER}", FINER, f"{FINER}, or refinement.max_level larger"]
 
 
 @pytest.mark.long
