@@ -118,7 +118,9 @@ def test_a_mesh_that_goes_beyond_the_part_is_warned_of_with_its_share_and_distan
     assert coverage.mesh == pytest.approx(_exact(RADIUS)[0] / _exact(0.12)[0], rel=5e-3)
     low = HEIGHT * (1 - 1.2**2)
     assert coverage.farthest == pytest.approx(np.hypot(0.02, low), rel=0.02)
-    assert f"{1e3 * coverage.farthest:.3g} mm" in str(told[0].message)
+    assert f": its farthest place is {1e3 * coverage.farthest:.3g} mm away;" in str(told[0].message)
+    with pytest.warns(InputWarning, match=r"all of it is within 0\.9\d+ mm of it, but some is beyond its rim;"):
+        mapping.map_wall(wall, _bowl(4000, radius=0.101), "mesh")
     inner = np.hypot(*mesh.positions[:, :2].T) < 0.09
     np.testing.assert_allclose(mapped.thickness[inner], _thickness(mesh.positions[inner]), rtol=0.01)
 

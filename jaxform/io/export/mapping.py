@@ -212,9 +212,11 @@ def _warn_of_coverage(coverage: Coverage, ratio: float, wall: WallSurface, reach
     if coverage.mesh < 1 - _MISSING_SHARE:
         cut_at = " ".join(f"{'xyz'[axis]}={level:g}" for axis, level in wall.planes.items())
         remedy = f"the part is cut: --mirror {cut_at} makes it whole; " if cut_at else ""
+        near = f"all of it is within {1e3 * coverage.farthest:.3g} mm of it, but some is beyond its rim"
+        far = f"its farthest place is {1e3 * coverage.farthest:.3g} mm away"
+        where = near if coverage.farthest <= reach else far
         warn_of(
-            f"{100 * (1 - coverage.mesh):.3g} % of the mesh's area does not lie on the formed part (within "
-            f"{1e3 * reach:.3g} mm; the largest distance is {1e3 * coverage.farthest:.3g} mm)",
+            f"{100 * (1 - coverage.mesh):.3g} % of the mesh's area does not lie on the formed part: {where}",
             f"{remedy}there it has the thickness of the nearest place, and does not count in the volume",
             key="--onto",
             value=name,
