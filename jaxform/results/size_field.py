@@ -203,9 +203,9 @@ def places_at_edges(scene: Scene, result: Result, depth: Array) -> tuple[Array, 
         The places, and pairs (m, 2) of moved nodes which follow one another on an edge and have a side between them.
     """
     places, pairs = np.asarray(scene.parison.positions, float).copy(), [np.zeros((0, 2), np.int64)]
-    for surface, own_depth in zip(scene.surfaces, depth, strict=True):
+    for number, surface in enumerate(scene.surfaces):
         if surface.mold.contact.sticks:
-            moved, node, goal, along = _moves_to_edges(surface.mold, scene, result, own_depth)
+            moved, node, goal, along = _moves_to_edges(surface.mold, number, scene, result, depth[number])
             places[node] = moved
             pairs.append(_pairs_across_sides(scene, node, goal, along))
     return places, np.concatenate(pairs)
@@ -232,9 +232,11 @@ def _pairs_across_sides(scene: Scene, node: NDArray[np.int64], goal: Array, alon
 
 
 def _moves_to_edges(
-    mold: Mold, scene: Scene, result: Result, depth: Array
+    mold: Mold, number: int, scene: Scene, result: Result, depth: Array
 ) -> tuple[Array, NDArray[np.int64], Array, Array]:
     """The moves onto edges of one tool, from depths (n_element,) [m] of the elements in it.
+
+    A node in contact with another tool does not lie before an edge of this one.
 
     Returns:
         Places on the initial sheet (k, 3) [m] that land on the edges, the nodes (k,) which are to be there, where they
@@ -248,7 +250,7 @@ def _moves_to_edges(
     formed = np.asarray(result.positions, float) - mold.offset_at(float(result.time))
     node, size, goal, along = _goals_on_edges(vertices, edges, scene, formed, depth)
     place, over_edge = _places_that_land(scene, formed, node, size, goal)
-    lies = np.asarray(result.stuck)[node] | over_edge
+    lies = (np.asarray(result.stuck) & (np.asarray(result.tool) == number))[node] | over_edge
     return place[lies], node[lies], goal[lies], along[lies]
 
 

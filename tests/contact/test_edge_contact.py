@@ -500,11 +500,14 @@ def test_a_node_before_an_edge_is_moved_though_an_element_beyond_it_passes_the_e
     for row in (0, 17):
         place[row + 5, ::2], place[row + 6, ::2], place[row + 7, ::2] = (0.0315, 0.03), (0.0326, 1e-3), (0.0364, 1e-3)
         stuck[row + 6] = stuck[row + 7] = True
-    formed = dataclasses.replace(result, positions=jnp.asarray(place), stuck=jnp.asarray(stuck))
-    goal, _ = size_field.places_at_edges(scene, formed, measure_cuts(formed, scene)[0])
-    start = np.asarray(scene.parison.positions)
+    lands = dataclasses.replace(result, positions=jnp.asarray(place), stuck=jnp.asarray(stuck))
+    on_rib, on_other = (dataclasses.replace(lands, tool=jnp.where(stuck, number, -1)) for number in (0, 1))
+    depth, start = measure_cuts(on_rib, scene)[0], np.asarray(scene.parison.positions)
+    goal, _ = size_field.places_at_edges(scene, on_rib, depth)
     # 0.1 of the 3.8 mm between these nodes, which were 6.25 mm apart.
     np.testing.assert_allclose((goal - start)[before, 0], -0.1 / 3.8 * 6.25e-3, rtol=1e-6)
+    goal, _ = size_field.places_at_edges(scene, on_other, depth)
+    np.testing.assert_array_equal(goal[before], start[before])
 
 
 def test_nodes_that_follow_one_another_on_an_edge_are_joined() -> None:
