@@ -113,6 +113,7 @@ def _carrier(tool: jax.Array, frames: Frames, like: jax.Array) -> tuple[jax.Arra
 
 
 def _paths(moved: WindowState, landed: WindowState, length: jax.Array, frame: ToolFrame | None) -> SidePaths:
+    """The nodes' paths in a step, from the window states before nodes landed and after."""
     return SidePaths(moved.nodes.positions, landed.nodes.positions, moved.nodes.velocities, length, frame)
 
 

@@ -150,8 +150,8 @@ def _points_on_paths(vertices: Array, edges: NDArray[np.integer], step: float) -
         arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
         at = np.linspace(0.0, arc[-1], int(np.ceil(arc[-1] / step)) + 1)
         points.append(np.stack([np.interp(at, arc, row) for row in corners.T], axis=1))
-        own = np.array([number[min(ends), max(ends)] for ends in itertools.pairwise(path)])
-        owner.append(own[np.clip(np.searchsorted(arc, at) - 1, 0, len(own) - 1)])
+        along = np.array([number[min(ends), max(ends)] for ends in itertools.pairwise(path)])
+        owner.append(along[np.clip(np.searchsorted(arc, at) - 1, 0, len(along) - 1)])
     return np.concatenate(points), np.concatenate(owner), np.repeat(np.arange(len(paths)), [len(x) for x in points])
 
 
@@ -340,12 +340,12 @@ def _nearest_on_edges(
     radius = 0.5 * np.linalg.norm(ends - begins, axis=1) + reach
     around = KDTree(points).query_ball_point(0.5 * (begins + ends), radius * (1.0 + _ROUNDING))
     for number, (begin, end, near) in enumerate(zip(begins, ends, around, strict=True)):
-        own, way = np.array(near, np.int64), end - begin
-        share = np.clip((points[own] - begin) @ way / max(float(way @ way), np.finfo(float).tiny), 0.0, 1.0)
+        candidates, way = np.array(near, np.int64), end - begin
+        share = np.clip((points[candidates] - begin) @ way / max(float(way @ way), np.finfo(float).tiny), 0.0, 1.0)
         place = begin + share[:, None] * way
-        away = np.linalg.norm(points[own] - place, axis=1)
-        nearer = away < least[own]
-        chosen = own[nearer]
+        away = np.linalg.norm(points[candidates] - place, axis=1)
+        nearer = away < least[candidates]
+        chosen = candidates[nearer]
         places[chosen], nearest[chosen], least[chosen] = place[nearer], number, away[nearer]
     return places, nearest
 
