@@ -1,6 +1,6 @@
 """Scene and study files, fields in mesh files, and files that are written whole or not at all."""
 
-from jaxform.core.disk import atomic_path, expand_path, read_text, write_error
+from jaxform.core.disk import atomic_path, expand_path, read_text, write_all, write_error
 from jaxform.io import schema
 from jaxform.io.files import SceneDocument, StudyDocument, build, read_scene, read_study
 from jaxform.io.geometry import nodal_field, transfer_values
@@ -22,5 +22,6 @@ __all__ = [
     "replacement_path",
     "schema",
     "transfer_values",
+    "write_all",
     "write_error",
 ]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from jaxform import InputError
-from jaxform.scene_files import atomic_path, write_error
+from jaxform.scene_files import atomic_path, write_all, write_error
 
 Answer = dict[str, Any]
 
@@ -118,8 +118,7 @@ class Journal:
             # Not created again where it is gone: a journal without its beginning is invalid.
             with self._path.open("r+b", buffering=0) as file:
                 end = file.seek(0, os.SEEK_END)
-                if file.write(line) != len(line):
-                    raise OSError(None, "the disk is full")
+                write_all(file, line)
         except OSError as error:
             if end is not None:
                 with contextlib.suppress(OSError):

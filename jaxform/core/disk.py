@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import io
 import json
 import os
 import stat
@@ -12,7 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from jaxform.core.errors import InputError, warn_of
+from jaxform.core import errors
+from jaxform.core.errors import FREE_SPACE, InputError, warn_of
 
 MOST_TEXT = 32_000_000
 """Bytes of a scene, a study or a table: a thousand times what people write."""
@@ -142,8 +144,15 @@ def atomic_path(path: str | Path, remedy: str = "free disk space, or choose anot
 
 
 def write_error(path: str | Path, error: OSError, remedy: str) -> InputError:
-    """The error in words of a file that cannot be written."""
-    return InputError(f"cannot be written ({error.strerror or error})", remedy, file=str(path))
+    """The error in words of a file that cannot be written; its remedy names disk space where that is the reason."""
+    known = remedy.replace(FREE_SPACE, errors.remedy_of_writing(error))
+    return InputError(f"cannot be written ({error.strerror or error})", known, file=str(path))
+
+
+def write_all(file: io.FileIO, content: bytes) -> None:
+    """Writes all of the bytes; raises the system's own OSError where only some of them can be written."""
+    while content:
+        content = content[file.write(content) :]
 
 
 # The cache folder of the command between runs: a folder that only the user can write to.

@@ -140,6 +140,7 @@ def format_extent(low: Iterable[float], high: Iterable[float]) -> str:
 
 # One-line descriptions of errors of the system or the machine: not of the input alone, nor of the program.
 
+FREE_SPACE = "free disk space"
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -155,11 +156,20 @@ def describe_system_error(error: BaseException) -> str | None:
     return None
 
 
+def remedy_of_writing(error: OSError) -> str:
+    """The remedy for a file that cannot be written: disk space, unless the reason is another one."""
+    if error.errno == errno.EFBIG:
+        return "raise the limit on the size of files (ulimit -f)"
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return "make it and its folder writable"
+    return FREE_SPACE
+
+
 def _describe_os_error(error: OSError) -> str:
     what = " ".join((error.strerror or str(error) or type(error).__name__).split())
     place = f"{truncate_text(error.filename)}: " if isinstance(error.filename, str) else ""
     if error.errno in _NO_ROOM:
-        return f"{place}{what}; free disk space, or choose another folder"
+        return f"{place}{what}; {remedy_of_writing(error)}, or choose another folder"
     if isinstance(error, FileNotFoundError):
         return f"{place}{what}; it or its folder was removed during the run"
     return f"{place}{what}; check the file, its folder and their permissions"

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from jaxform.core import disk
-from jaxform.core.disk import PREFIX, atomic_path, write_error
+from jaxform.core.disk import PREFIX, atomic_path, write_all, write_error
 from jaxform.core.errors import InputError
 from jaxform.io.scene_rewriting import inline
 from jaxform.sweeps.designs import DesignRow
@@ -107,8 +107,7 @@ class Records:
             with self.path.open("r+b", buffering=0) as file:
                 end = file.seek(0, os.SEEK_END)
                 try:
-                    if file.write(line) != len(line):
-                        raise OSError(None, "the disk is full")
+                    write_all(file, line)
                     os.fsync(file.fileno())
                 except OSError:
                     file.truncate(end)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import pwd
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -292,3 +294,34 @@ def test_a_mold_a_million_times_the_sheet_is_refused_before_anything_is_divided_
             solver=jaxform.make_solver(end_time=0.05),
             mold=jaxform.make_mold(box.vertices, box.triangles),
         )
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.ENOSPC, "free disk space, then go on"),
+        (errno.EFBIG, "raise the limit on the size of files (ulimit -f), then go on"),
+        (errno.EROFS, "make it and its folder writable, then go on"),
+    ],
+)
+def test_the_remedy_of_a_file_that_cannot_be_written_follows_from_the_reason(number: int, words: str) -> None:
+    error = disk.write_error("out/x", OSError(number, os.strerror(number)), "free disk space, then go on")
+    assert error.remedy == words
+
+
+def test_a_limit_on_the_size_of_files_is_told_as_such(tmp_path: Path) -> None:
+    """In a process of its own: of 5000 bytes the system writes 4096, and says why with the rest."""
+    code = """
+import resource, signal, sys
+from pathlib import Path
+from jaxform.core.disk import write_all
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+with Path(sys.argv[1]).open("wb", buffering=0) as file:
+    try:
+        write_all(file, b"x" * 5000)
+    except OSError as error:
+        print(error.strerror)
+"""
+    said = subprocess.run([sys.executable, "-c", code, str(tmp_path / "x")], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == os.strerror(errno.EFBIG) and (tmp_path / "x").stat().st_size == 4096
