@@ -161,6 +161,7 @@ FAULTS = [
     ),
     Fault("edges", "jaxform/contact/edge_contact.py", "(b * e - c * d) / area", "(b * e + c * d) / area"),
     Fault("edges", "jaxform/contact/edge_contact.py", "_OVERHANG = 0.5", "_OVERHANG = 1.0"),
+    Fault("edges", "jaxform/contact/edge_contact.py", "jnp.where(move > 0.0, weight, 0.0)", "weight"),
     Fault("motion", "jaxform/tools/mold.py", "s * s * (3.0 - 2.0 * s) * (end - begin)", "s * (end - begin)"),
     Fault("motion", "jaxform/contact/sliding.py", "else frame.offset[k] - length * c)", "else frame.offset[k])"),
     Fault("gas", "jaxform/loads/gas.py", "0.5 * slope * passed)", "slope * passed)"),

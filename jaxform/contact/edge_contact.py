@@ -415,9 +415,14 @@ def hold_known_sides(
 # Forces that hold the sides.
 
 
-def values_at_points(nodal: Any, held: HeldSides) -> jax.Array:
-    """Velocities (3, room) [m/s] of the points at which sides are held, from those of the nodes; or positions."""
-    one, other = (jnp.stack(gather_columns(nodal, end)) for end in held.ends)
+def values_at_ends(nodal: Any, held: HeldSides) -> list[jax.Array]:
+    """Velocities (3, room) [m/s] of either end of the held sides, from those of the nodes; or positions."""
+    return [jnp.stack(gather_columns(nodal, end)) for end in held.ends]
+
+
+def _values_at_points(nodal: Any, held: HeldSides) -> jax.Array:
+    """Positions (3, room) [m] of the points at which sides are held, from those of the nodes."""
+    one, other = values_at_ends(nodal, held)
     return (1.0 - held.share) * one + held.share * other
 
 
@@ -438,7 +443,7 @@ class HeldNodes(NamedTuple):
 def hold_sides(
     positions: Any,
     velocities: jax.Array,
-    before: jax.Array,
+    before: list[jax.Array],
     held: HeldSides,
     compliance: jax.Array,
     immovable: jax.Array,
@@ -450,10 +455,12 @@ def hold_sides(
 ) -> HeldNodes:
     """Moves the ends of held sides so that these pass through the points where they are held.
 
+    An end in contact passes its part of a push on to the tool: loss and work are those of the ends that move freely.
+
     Args:
         positions: After the step as if nothing were held, three times (n_node,) [m].
         velocities: In the step, (3, n_node) [m/s].
-        before: `values_at_points` before the step.
+        before: `values_at_ends` of the velocities before the step.
         held: The held sides.
         compliance: Compliance of the nodes (3, n_node) [1/kg].
         immovable: Nodes (n_node,) that constraints do not move.
@@ -470,21 +477,26 @@ def hold_sides(
     def displace(push: jax.Array) -> jax.Array:
         """Displacements (3, room) of the held points by such pushes at all of them."""
         nodes = _add_at_ends(jnp.zeros_like(compliance), [move * push for move in moves], held, scatter)
-        return jnp.where(free, values_at_points(nodes, held) + _SOFTNESS * mobility * push, push)
+        return jnp.where(free, _values_at_points(nodes, held) + _SOFTNESS * mobility * push, push)
 
-    gap = jnp.where(free, held.point + carrier[0] - values_at_points(positions, held), 0.0)
+    gap = jnp.where(free, held.point + carrier[0] - _values_at_points(positions, held), 0.0)
     inverse = jax.lax.stop_gradient(jnp.where(free, 1.0 / jnp.where(free, mobility, 1.0), 1.0))
     solve = functools.partial(_conjugate_gradients, inverse=inverse)
     push = jax.lax.custom_linear_solve(displace, gap, solve, symmetric=True) if scatter else solve(displace, gap)
     impulse, speed = push / jnp.where(length > 0.0, length, 1.0), carrier[1]
     new = _add_at_ends(velocities, [move * impulse for move in moves], held, scatter)
-    mean = 0.5 * (before + values_at_points(new, held)) - speed
+    parts = [jnp.where(move > 0.0, weight, 0.0) for weight, move in zip(weights, moves, strict=True)]
+    earlier, flown, later = (
+        sum(part * end for part, end in zip(parts, ends, strict=True))
+        for ends in (before, values_at_ends(velocities, held), values_at_ends(new, held))
+    )
+    carried = sum(parts) * speed
     return HeldNodes(
         positions=_add_at_ends(positions, [move * push for move in moves], held, scatter),
         velocities=new,
-        loss=-jnp.sum(impulse * mean),
-        work=jnp.sum(impulse * speed, axis=0),
-        damped=0.25 * jnp.sum(impulse * (before + values_at_points(velocities, held))),
+        loss=-jnp.sum(impulse * (0.5 * (earlier + later) - carried)),
+        work=jnp.sum(impulse * carried, axis=0),
+        damped=0.25 * jnp.sum(impulse * (earlier + flown)),
     )
 
 

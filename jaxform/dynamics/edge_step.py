@@ -65,7 +65,7 @@ def hold_sides_at_edges(
     assert held is not None
     tools = _tools_of_edges(held.edge, scene)
     carrier = _carrier(tools, frames, held.point)
-    before = edge_contact.values_at_points(current.nodes.velocities, held)
+    before = edge_contact.values_at_ends(current.nodes.velocities, held)
     immovable = nodes.stuck | sliding_nodes(nodes.stuck, nodes.wall) if scene.slides else nodes.stuck
     zero = jnp.zeros((), nodes.velocities.dtype)
 
