@@ -38,6 +38,8 @@ _STOPS = (
     | Status.CONTACT_MISSED
     | Status.STOPPED
     | Status.RUNAWAY
+    | Status.ESCAPED
+    | Status.BURST
     | Status.INPUT
 )
 """Statuses of runs whose wall does not say where elements should be; an unfilled corner is none of them."""

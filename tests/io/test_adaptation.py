@@ -29,7 +29,9 @@ from jaxform.io import adaptation, files, geometry, scene_rewriting
 from jaxform.mesh import meshes
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
+from jaxform.sheet.state import Status
 from jaxform.sweeps import designs, evaluation
+from tests import scenes
 
 pytest.importorskip("mmgpy")
 
@@ -297,6 +299,17 @@ def test_a_run_that_stops_has_no_mesh(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("damping = 63.246", "damping = 63.246\nmax_steps = 100"))
     with pytest.raises(InputError, match=r"parison\.adapt: adaptation pass 1 stopped: .* without parison\.adapt first"):
         files.build(files.read_scene(path))
+
+
+@pytest.mark.parametrize("status", [Status.ESCAPED, Status.BURST, Status.UNFILLED, Status.UNBALANCED])
+def test_the_wall_of_a_sheet_that_is_no_part_gives_no_mesh(tmp_path: Path, status: Status) -> None:
+    result = scenes.at_rest(files.build(files.read_scene(_write(tmp_path, elements=60))))
+    ended = replace(result, status=jnp.int32(status))
+    if status in (Status.UNFILLED, Status.UNBALANCED):
+        adaptation._check_end(ended, 1)
+        return
+    with pytest.raises(InputError, match=r"parison\.adapt: adaptation pass 1 stopped: the sheet "):
+        adaptation._check_end(ended, 1)
 
 
 def test_fields_of_a_mesh_file_are_those_of_the_file_after_every_pass(tmp_path: Path) -> None:
