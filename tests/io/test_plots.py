@@ -261,7 +261,7 @@ def test_a_picture_for_which_there_is_no_room_is_named_and_not_left_in_part(tmp_
     path.write_text("what was there")
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
-        with pytest.raises(InputError, match=r"thickness.png.*cannot be written.*free disk space"):
+        with pytest.raises(InputError, match=r"thickness.png.*cannot be written.*limit on the size of files"):
             plots.thickness_picture(path, *_at_rest(SHEETS["disc"]))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
