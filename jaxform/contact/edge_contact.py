@@ -45,7 +45,7 @@ from jaxform.tools.surface_walk import ContactSurface
 
 NOT_HELD = jnp.iinfo(jnp.int32).max
 """The step of an unused entry of held sides."""
-_MOST_PASSES, _ACCURACY = 100, 1e-9  # of the solver: passes, and what is left of the gaps
+_MOST_PASSES, _ACCURACY = 1000, 1e-9  # of the solver: passes, and what is left of the gaps
 _ROUNDINGS = 64  # that the gaps are accurate to, in float32
 _SOFTNESS = 1e-5  # of a held side's own compliance: where more are held than can be
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
