@@ -12,8 +12,13 @@ three times its direction: it is zero in one direction, and largest 30 degrees f
 triangles of the right size in any direction. Moving their nodes by about a side, with nearly the same areas, removes
 much of the error. So it does in a run, whose nodes are not exact: they miss their places by less than the triangles do.
 
-F and H are those of a quadratic polynomial fitted around each node. Where the fit misses the map by more than a share
-of its quadratic part, as at a kink, a corner of the tool or the end of a contact, there is no H, and nodes stay.
+S depends on lengths alone: the products of H with the columns of F are Christoffel symbols of the metric C = F^T F,
+
+    H_ab . F_c = (dC_bc/dx_a + dC_ac/dx_b - dC_ab/dx_c) / 2,
+
+however the formed sheet bends. The square of a formed side is C[e, e] at its middle, up to the fourth power of its
+length. So C and its slopes are those of a linear function fitted around each node to the squares of formed sides. Where
+the fit misses as much as a share of its slopes, as at a kink or in a corner of the tool, there is no S, and nodes stay.
 
 (Diaz, Kikuchi, Taylor: A method of grid optimization for finite element methods, Comput. Methods Appl. Mech. Eng. 41
 (1983) 29-45: nodes are moved for the least interpolation error. The form above is derived here.)
@@ -21,6 +26,7 @@ of its quadratic part, as at a kink, a corner of the tool or the end of a contac
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -38,8 +44,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-_LEAST_NODES = 9  # of a fit with six unknowns
-_ROUGH = 0.15  # of the quadratic part of a fit, what it may miss: 0.03 to 0.12 in smooth regions, 0.2 to 1 at corners
+_LEAST_SIDES = 14  # of a fit with nine unknowns
+_ROUGH = 0.6  # of the slopes' part of a fit, what it may miss: 0.1 to 0.3 in smooth regions, 0.5 to 2 at kinks
+_TOGETHER = 2048  # nodes whose fits are made together
 _SEARCHES = 2  # of which each finds the form anew where the elements are
 _ITERATIONS = 60  # of a search
 _FARTHEST = 0.5  # of the size of a node's largest element, how far a search moves it along each axis
@@ -95,7 +102,7 @@ def qualities(points: Array, triangles: NDArray[np.integer]) -> Array:
     return 2.0 * np.sqrt(3.0) * area / np.sum(np.square(sides), axis=(1, 2))
 
 
-# The cubic form, by a quadratic polynomial around each node.
+# The cubic form, by the metric around each node.
 
 
 def cubic_forms(sheet: Sheet, formed: Array) -> tuple[Array, Mask]:
@@ -106,36 +113,70 @@ def cubic_forms(sheet: Sheet, formed: Array) -> tuple[Array, Mask]:
         map is smooth. The others' tensors say nothing.
     """
     points = np.asarray(sheet.positions, float)
-    node, other, begin = _patches(sheet.triangles, len(points))
-    frame = _tangents(points, sheet.triangles)
-    own = np.einsum("nai,ni->na", frame[node], points[other] - points[node])
-    count = np.diff(np.append(begin, len(node)))
-    scale = np.sqrt(np.add.reduceat(np.sum(own * own, axis=1), begin) / count)
-    own = own / np.maximum(scale, np.finfo(float).tiny)[node, None]
-    x, y = own.T
-    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    weight = np.exp(-2.0 * np.sum(own * own, axis=1))[:, None]
-    moments = np.add.reduceat(weight[..., None] * basis[:, :, None] * basis[:, None], begin)
-    right = np.add.reduceat(weight[..., None] * basis[:, :, None] * formed[other][:, None], begin)
-    coefficients = np.linalg.solve(moments + _RIDGE * np.eye(6), right)
-    missed = np.einsum("nk,nki->ni", basis, coefficients[node]) - formed[other]
-    bent = np.einsum("nk,nki->ni", basis[:, 3:], coefficients[node, 3:])
-    mean = np.add.reduceat(weight * bent, begin) / np.add.reduceat(weight, begin)
-    off, part = (np.add.reduceat(np.sum(weight * np.square(x), axis=1), begin) for x in (missed, bent - mean[node]))
-    tensor = _tensors(coefficients / scale[:, None, None] ** np.array([0, 1, 1, 2, 2, 2])[:, None], frame)
-    fits = (count >= _LEAST_NODES) & (off <= _ROUGH**2 * part) & np.isfinite(tensor).all((1, 2, 3))
-    return np.where(fits[:, None, None, None], tensor, 0.0), fits
+    frame, sides = _tangents(points, sheet.triangles), topology.edges(sheet.triangles)[0]
+    around = _sides_around(sides, len(points))
+    ways = points[sides[:, 1]] - points[sides[:, 0]]
+    lengths = np.sum(np.square(formed[sides[:, 1]] - formed[sides[:, 0]]), axis=1) / np.sum(np.square(ways), axis=1)
+    fits = []
+    for nodes in np.array_split(np.arange(len(points)), 1 + len(points) // _TOGETHER):
+        owner, side = around[nodes].nonzero()
+        middle = points[sides[side]].mean(1) - points[nodes[owner]]
+        at, along = (np.einsum("kai,ki->ka", frame[nodes[owner]], each) for each in (middle, ways[side]))
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
+        fits.append(_fit_metric(lengths[side], at, along, owner, len(nodes)))
+    metric, slope, known = (np.concatenate(each) for each in zip(*fits, strict=True))
+    tensor = _tensors(metric, slope, frame)
+    known &= np.isfinite(tensor).all((1, 2, 3))
+    return np.where(known[:, None, None, None], tensor, 0.0), known
 
 
-def _patches(triangles: NDArray[np.integer], count: int) -> tuple[Index, Index, Index]:
-    """Pairs (k,) of nodes at most two sides apart, each with itself too, sorted by the first; where each begins."""
+def _sides_around(sides: Index, count: int) -> csr_array:
+    """The sides (n_node, n_side), as entries, whose ends are both at most two sides away from a node."""
     every = np.arange(count)
-    one = np.append(every, np.repeat(triangles.ravel(), 3))
-    other = np.append(every, np.repeat(triangles, 3, axis=0).ravel())
-    near = csr_array((np.ones(len(other)), (one, other)), shape=(count, count))
+    one, other = np.concatenate([every, *sides.T]), np.concatenate([every, *sides.T[::-1]])
+    near = csr_array((np.ones(len(one)), (one, other)), shape=(count, count))
     two = csr_array(near @ near)
-    begin, there = np.asarray(two.indptr, np.int64), np.asarray(two.indices, np.int64)
-    return np.repeat(every, np.diff(begin)), there, begin[:-1]
+    two.data[:] = 1.0
+    number = np.repeat(np.arange(len(sides)), 2)
+    ends = csr_array((np.ones(sides.size), (sides.ravel(), number)), shape=(count, len(sides)))
+    return csr_array(two @ ends) > 1.0
+
+
+def _fit_metric(lengths: Array, middles: Array, ways: Array, owner: Index, count: int) -> tuple[Array, Array, Mask]:
+    """The metric at nodes and its slopes, by a linear function fitted to the sides around each.
+
+    Args:
+        lengths: Ratios (k,) of the formed length of a side to the initial one, squared.
+        middles: The middles (k, 2) [m] of the initial sides in their node's tangent plane, from the node on.
+        ways: Unit vectors (k, 2) along them.
+        owner: The node (k,) of each, in ascending order.
+        count: Number of nodes, n.
+
+    Returns:
+        The metric (n, 2, 2), its derivatives (n, 2, 2, 2) [1/m], the last index that of the coordinate, and the mask
+        of the nodes (n,) whose fit holds.
+    """
+    sides = np.bincount(owner, minlength=count)
+    total = csr_array((np.ones(len(owner)), (owner, np.arange(len(owner)))), shape=(count, len(owner)))
+    scale = np.sqrt((total @ np.sum(np.square(middles), axis=1)) / np.maximum(sides, 1))
+    scale = np.maximum(scale, np.finfo(float).tiny)
+    at, (x, y) = middles / scale[owner, None], ways.T
+    # Unknowns: xx, xy and yy of the metric, each with its value and two slopes.
+    basis = np.stack([x * x, 2.0 * x * y, y * y], axis=1)[:, :, None] * np.insert(at, 0, 1.0, axis=1)[:, None]
+    rows, weight = basis.reshape(-1, 9), np.exp(-2.0 * np.sum(np.square(at), axis=1))
+    weighed = weight[:, None] * rows
+    moments = (total @ (weighed[:, :, None] * rows[:, None]).reshape(-1, 81)).reshape(-1, 9, 9)
+    right = (total @ (weighed * lengths[:, None]))[..., None]
+    found = np.linalg.solve(moments + _RIDGE * np.eye(9), right).reshape(-1, 3, 3)
+    missed = np.einsum("kcd,kcd->k", basis, found[owner]) - lengths
+    sloped = np.einsum("kcd,kcd->k", basis[..., 1:], found[owner][..., 1:])
+    off, part = (total @ (weight * np.square(each)) for each in (missed, sloped))
+    entries = found[:, _ENTRIES]
+    metric, slope = entries[..., 0], entries[..., 1:] / scale[:, None, None, None]
+    return metric, slope, (sides >= _LEAST_SIDES) & (off <= _ROUGH**2 * part) & (np.linalg.det(metric) > 0.0)
+
+
+_ENTRIES = np.array([[0, 1], [1, 2]])  # of a symmetric matrix, by the number of its indices that are 1
 
 
 def _tangents(points: Array, triangles: NDArray[np.integer]) -> Array:
@@ -148,22 +189,16 @@ def _tangents(points: Array, triangles: NDArray[np.integer]) -> Array:
     return np.stack([one, np.cross(normal, one)], axis=1)
 
 
-def _tensors(coefficients: Array, frame: Array) -> Array:
-    """The form's tensors (n, 3, 3, 3) from coefficients (n, 6, 3) of 1, x, y, x^2, xy, y^2 in tangent frames."""
-    gradient = coefficients[:, 1:3].swapaxes(1, 2)
-    metric = gradient.swapaxes(1, 2) @ gradient
+def _tensors(metric: Array, slope: Array, frame: Array) -> Array:
+    """The form's tensors (n, 3, 3, 3) from the metric (n, 2, 2) and its slopes (n, 2, 2, 2) in tangent frames."""
+    first = 0.5 * (np.einsum("nbca->nabc", slope) + np.einsum("nacb->nabc", slope) - slope)
+    adjugate = np.stack([metric[:, 1, 1], -metric[:, 0, 1], -metric[:, 1, 0], metric[:, 0, 0]], -1).reshape(-1, 2, 2)
     with np.errstate(all="ignore"):
-        determinant = metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2
-        adjugate = np.stack([metric[:, 1, 1], -metric[:, 0, 1], -metric[:, 0, 1], metric[:, 0, 0]], -1)
-        inverse = gradient @ (adjugate.reshape(-1, 2, 2) / determinant[:, None, None])
-    # Rows: of x^2, 2 xy and y^2 in H[v, v], their products with both columns of F (F^T F)^-1.
-    xx, xy, yy = np.einsum("nki,nic->knc", coefficients[:, 3:] * np.array([2.0, 1.0, 2.0])[:, None], inverse)
-    thirds = np.stack([xx[:, 1], (2.0 * xy[:, 1] - xx[:, 0]) / 3.0, (yy[:, 1] - 2.0 * xy[:, 0]) / 3.0, -yy[:, 0]])
-    own = np.moveaxis(thirds[_ENTRIES], 3, 0)
+        second = first @ (adjugate / np.linalg.det(metric)[:, None, None])[:, None]
+    # The normal times v is (-v_y, v_x).
+    own = np.stack([second[..., 1], -second[..., 0]], axis=-1)
+    own = sum(own.transpose(0, *order) for order in itertools.permutations((1, 2, 3))) / 6.0
     return np.einsum("nabc,nai,nbj,nck->nijk", own, frame, frame, frame, optimize=True)
-
-
-_ENTRIES = np.sum(np.indices((2, 2, 2)), axis=0)  # of a symmetric tensor, by the number of its indices that are 1
 
 
 def _forms_of_elements(old: Sheet, form: Array, smooth_there: Mask, centroids: Array) -> tuple[Array, Mask]:
