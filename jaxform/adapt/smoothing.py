@@ -58,18 +58,21 @@ _RIDGE = 1e-12  # that keeps fits of too few nodes solvable
 _INFINITE = 1e30  # value of a mesh with turned triangles, which a line search can take
 
 
-def smooth(sheet: Sheet, old: Sheet, formed: Array) -> Sheet:
+def smooth(sheet: Sheet, old: Sheet, formed: Array, kinks: Mask | None = None) -> Sheet:
     """The sheet with its inner nodes, and those in symmetry planes, at places where elements miss the wall less.
 
     Args:
         sheet: The sheet on its new mesh.
         old: The sheet on the mesh of a run.
         formed: The nodes (n_node, 3) [m] of that run as it ended.
+        kinks: Mask of those (n_node,) where the map is known to have kinks: around them nodes stay.
 
     Returns:
         The sheet. No element has a poor shape that had a better one before.
     """
     form, smooth_there = cubic_forms(old, formed)
+    if kinks is not None:
+        smooth_there &= ~kinks
     points, triangles = np.asarray(sheet.positions, float), np.asarray(sheet.triangles, np.int64)
     objective = _Objective(points, triangles)
     for _ in range(_SEARCHES):

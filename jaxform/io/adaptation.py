@@ -158,7 +158,9 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Ca
         sheet = mesher.remesh(before, size_field.wanted_sizes(scene, result), most, lines, keep_lines=keep)
         if number == wanted.passes:
             # Only the last mesh: the sizes of the next are found from elements in any direction.
-            sheet = smoothing.smooth(sheet, before, np.asarray(result.positions, float))
+            sheet = smoothing.smooth(
+                sheet, before, np.asarray(result.positions, float), size_field.beside_edges(scene, result)
+            )
         sheet = _with_fields_of(first, sheet)
     if any(edges.size for edges in scene.tables.edges):
         sheet = _with_fields_of(first, _move_to_edges(document, sheet, store, (wanted.passes, most), note))

@@ -184,6 +184,7 @@ _BESIDE = 0.5  # of the mean formed side at a node: it is moved onto an edge no 
 _CUT_EDGE = 0.02  # of it: an element that cuts a tool deeper has a convex edge of that beside it
 _AT_CORNER = 0.3  # of the mean formed side at a node: it is moved onto a corner no farther away
 _ALONG = 0.8  # cosine to the edge, of a way between nodes that follow one another on it
+_KINK = 2.0  # of the mean formed side at a node: the kink over an edge no farther away is in its patch
 _ROUNDING = 1e-9  # of a distance, by which points are looked up farther away
 _ON_EDGE = 0.002  # of it: an element as near to the place of an edge is held there, or has a node there
 
@@ -329,6 +330,21 @@ def _move_to_corners(goal: Array, formed: Array, size: Array, corners: Array) ->
         there = away <= _AT_CORNER * size[nearest]
         goal[nearest[there]], chosen[nearest[there]] = corners[there], True
     return chosen
+
+
+def beside_edges(scene: Scene, result: Result) -> NDArray[np.bool_]:
+    """Mask of the nodes (n_node,) that ended near a sharp edge of a tool to which the sheet sticks."""
+    triangles, count = np.asarray(scene.parison.triangles), len(scene.parison.positions)
+    beside = np.zeros(count, bool)
+    for surface in scene.surfaces:
+        mold, vertices = surface.mold, np.asarray(surface.mold.vertices, float)
+        edges = topology.sharp_edges(vertices, np.asarray(mold.triangles))
+        if mold.contact.sticks and edges.size:
+            formed = np.asarray(result.positions, float) - mold.offset_at(float(result.time))
+            size = _mean_at_nodes(longest_sides(formed[triangles]), triangles, np.ones(len(triangles)), count)
+            place, _ = _nearest_on_edges(formed, vertices, edges, _KINK * float(size.max()))
+            beside |= np.linalg.norm(place - formed, axis=1) <= _KINK * size
+    return beside
 
 
 def _nearest_on_edges(
