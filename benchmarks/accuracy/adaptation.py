@@ -25,7 +25,7 @@ from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.volumes import areas
 from jaxform.model.scene import Scene
 from jaxform.results.result import drop_unused
-from jaxform.results.size_field import edge_lines, wanted_sizes
+from jaxform.results.size_field import beside_edges, edge_lines, wanted_sizes
 
 _FIRST = 600  # elements of the mesh on which an adapted run begins
 _PASSES = 2
@@ -77,7 +77,8 @@ def show_adapted(cup: Cup, elements: int) -> Row:
 def _adapted_sheet(sheet: Sheet, scene: Scene, result: jaxform.Result, elements: int, *, last: bool) -> Sheet:
     """The sheet on the mesh that follows from a run, with its nodes moved for the wall if it is the last."""
     made = mesher.remesh(sheet, wanted_sizes(scene, result), elements, edge_lines(scene, result))
-    return smoothing.smooth(made, sheet, np.asarray(result.positions, float)) if last else made
+    formed, kinks = np.asarray(result.positions, float), beside_edges(scene, result)
+    return smoothing.smooth(made, sheet, formed, kinks) if last else made
 
 
 def _disc(elements: int) -> Sheet:

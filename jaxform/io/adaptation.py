@@ -43,7 +43,7 @@ _STOPS = (
     | Status.INPUT
 )
 """Statuses of runs whose wall does not say where elements should be; an unfilled corner is none of them."""
-_FITS = 2  # runs after which nodes are moved onto edges, at most
+_FITS = 3  # runs after which nodes are moved onto edges, at most
 _FITTED = 0.02  # of an element, which no node is moved by for the last time
 _DOUBTFUL, _GOOD = 0.10, 0.05  # estimated errors of the elements' wall: of one to warn of, and of one that will do
 _ELEMENTS = 2500  # of a new mesh by default, where the first has no more
@@ -179,8 +179,8 @@ def _move_to_edges(
     """The sheet with nodes beside sharp edges moved so that they land on them, and new nodes on sides that cut edges.
 
     By how much is seen in a run. The stretch beside an edge changes with the move, so another run shows what is left:
-    where no element cuts too deep, the mesh stays, and where one cuts deeper than before, the mesh before is taken,
-    with new nodes alone.
+    where no element cuts too deep, the mesh stays; where one cuts deeper than before, the mesh before is taken, and
+    from then on sides that cut get new nodes, but no node is moved. So do those of the last run.
 
     Args:
         document: The scene.
@@ -190,25 +190,26 @@ def _move_to_edges(
         note: Is called with the facts of each run.
     """
     passes, most = wanted
-    before, sides_before, worst_before = sheet, (np.zeros((0, 2), np.int64), np.zeros(0)), np.inf
+    best, sides, least, moving = sheet, (np.zeros((0, 2), np.int64), np.zeros(0)), np.inf, True
     for fit in range(_FITS + 1):
         scene, result = _run_pass(document, sheet, store, passes + 1 + fit)
         depth, corner_share = measure_cuts(result, scene)
         ends, share, worst = size_field.cut_sides(scene, result, depth, corner_share)
         facts = len(sheet.triangles), size_field.mean_error(scene, result)
-        if worst > max(worst_before, 1.0):
-            divided = mesher.divide_sides(before, *sides_before, most)
-            note(*facts, 0, 0.0, len(divided.positions) - len(before.positions))
-            return divided
-        if fit == _FITS or (fit and not len(ends)):
+        if worst <= max(least, 1.0):
+            best, sides, least = sheet, (ends, share), worst
+        elif not moving:
             note(*facts, 0, 0.0, 0)
-            return sheet
-        before, sides_before, worst_before = sheet, (ends, share), worst
-        sheet, moves = _move_and_divide(sheet, scene, result, depth, sides_before, most)
-        added = len(sheet.positions) - len(before.positions)
+            return best
+        moving &= best is sheet and fit < _FITS and (fit == 0 or len(ends) > 0)
+        if moving:
+            sheet, moves = _move_and_divide(sheet, scene, result, depth, sides, most)
+        else:
+            sheet, moves = mesher.divide_sides(best, *sides, most), np.zeros(1)
+        added = len(sheet.positions) - len(best.positions)
         note(*facts, np.count_nonzero(moves), float(moves.max()), added)
         if moves.max() <= _FITTED and not added:
-            return sheet
+            break
     return sheet
 
 

@@ -154,3 +154,12 @@ def test_nodes_beside_a_poor_element_are_put_back_alone() -> None:
     made = smoothing._put_back(sheet, points)
     assert np.array_equal(made[one], sheet.positions[one])
     assert np.array_equal(made[far], points[far])
+
+
+def test_nodes_around_known_kinks_stay() -> None:
+    sheet, move, _ = CASES["disc"]
+    points = np.asarray(sheet.positions, float)
+    made = smoothing.smooth(sheet, sheet, move(points), points[:, 0] < 0.0)
+    moved = (made.positions != sheet.positions).any(1)
+    assert not moved[points[:, 0] < 0.0].any()
+    assert moved[points[:, 0] > 0.3].any()

@@ -22,6 +22,7 @@ from jaxform.io import adaptation
 from jaxform.mechanics.membrane import vector
 from jaxform.mesh.shapes import Sheet
 from jaxform.mesh.topology import HOLDING_FACETS, SHARPEST_FACETS, sharp_edges
+from jaxform.mesh.volumes import longest_sides
 from jaxform.results import size_field, summary
 from jaxform.results.tool_contact import measure_cuts
 from jaxform.tools.surface_walk import ContactSurface
@@ -524,6 +525,18 @@ def test_a_node_before_an_edge_is_moved_though_an_element_beyond_it_passes_the_e
     np.testing.assert_allclose((goal - start)[before, 0], -0.1 / 3.8 * 6.25e-3, rtol=1e-6)
     goal, _ = size_field.places_at_edges(scene, on_other, depth)
     np.testing.assert_array_equal(goal[before], start[before])
+
+
+def test_nodes_that_end_near_an_edge_are_found_in_the_frame_of_its_tool() -> None:
+    scene = over_rib(16)
+    result = jaxform.run(scene)
+    vertices, triangles = rib(1e-3)
+    low, high, *_ = sharp_edges(vertices, triangles)
+    away = np.linalg.norm(np.asarray(result.positions)[:, None, ::2] - vertices[np.unique([low, high])][:, ::2], axis=2)
+    sides = longest_sides(np.asarray(result.positions)[np.asarray(scene.parison.triangles)])
+    found = size_field.beside_edges(scene, result)
+    assert found[away.min(1) < 1.5 * sides.min()].all() and found.any()
+    assert not found[away.min(1) > 2.5 * sides.max()].any() and not found.all()
 
 
 def test_nodes_that_follow_one_another_on_an_edge_are_joined() -> None:

@@ -148,7 +148,7 @@ def test_nodes_are_moved_where_tools_have_edges(
     monkeypatch.setattr(adaptation, "_run_pass", lambda *_: (scene, SimpleNamespace(positions=None)))
     monkeypatch.setattr(adaptation.mesher, "remesh", lambda sheet, *_, **__: sheet)
     monkeypatch.setattr(adaptation.smoothing, "smooth", lambda sheet, *_: sheet)
-    for name, value in {"mean_error": 0.1, "edge_lines": [], "wanted_sizes": None}.items():
+    for name, value in {"mean_error": 0.1, "edge_lines": [], "wanted_sizes": None, "beside_edges": None}.items():
         monkeypatch.setattr(adaptation.size_field, name, lambda *_, value=value: value)
     path = _write(tmp_path, "adapt = { passes = 2 }", elements=60, rest="edge_contact = true\n")
     document, told = files.read_scene(path), list[np.ndarray]()
@@ -161,9 +161,11 @@ def test_nodes_are_moved_where_tools_have_edges(
     ("worst", "taken", "runs"),
     [
         ((3.0, 0.0), "moved", 2),  # nothing cuts after the first move: no second one
-        ((3.0, 4.0), "divided", 2),  # deeper than before: the mesh before, with new nodes
-        ((3.0, 2.0, 1.5), "moved twice", 3),
-        ((3.0, 2.0, 2.5), "moved, divided", 3),
+        ((3.0, 4.0, 0.0), "divided", 3),  # deeper than before: the mesh before, with new nodes
+        ((3.0, 4.0, 2.0, 1.5), "divided thrice", 4),
+        ((3.0, 4.0, 5.0), "first", 3),  # deeper with new nodes, too: without them
+        ((3.0, 2.0, 2.5, 0.0), "moved, divided", 4),
+        ((3.0, 2.0, 1.5, 1.2), "moved thrice, divided", 4),  # no run shows what another move would do
     ],
 )
 def test_moves_that_make_a_cut_deeper_are_taken_back(
@@ -187,7 +189,7 @@ def test_moves_that_make_a_cut_deeper_are_taken_back(
         return replace(sheet, positions=sheet.positions + 1.0)
 
     def divide(sheet: Sheet, ends: np.ndarray, *_: object) -> Sheet:
-        return replace(sheet, positions=sheet.positions - 10.0) if len(ends) else sheet
+        return replace(sheet, positions=np.append(sheet.positions, [[0.0] * 3], 0) - 10.0) if len(ends) else sheet
 
     monkeypatch.setattr(adaptation, "_run_pass", lambda *_: (scene, None))
     monkeypatch.setattr(adaptation, "measure_cuts", lambda *_: (np.zeros((1, 1)), np.zeros((1, 1, 3))))
@@ -198,8 +200,9 @@ def test_moves_that_make_a_cut_deeper_are_taken_back(
     monkeypatch.setattr(adaptation.mesher, "divide_sides", divide)
     document: Any = None
     made = adaptation._move_to_edges(document, first, None, (1, 40), lambda *run: told.append(run))
-    by = {"moved": 1.0, "divided": -10.0, "moved twice": 2.0, "moved, divided": -9.0}[taken]
-    np.testing.assert_array_equal(made.positions, np.eye(3) + by)
+    by = {"first": 0.0, "moved": 1.0, "divided": -10.0, "divided thrice": -30.0}
+    by |= {"moved, divided": -9.0, "moved thrice, divided": -7.0}
+    np.testing.assert_array_equal(made.positions[:3], np.eye(3) + by[taken])
     assert len(told) == runs
 
 
