@@ -171,8 +171,8 @@ def _fit_metric(lengths: Array, middles: Array, ways: Array, owner: Index, count
     moments = (total @ (weighed[:, :, None] * rows[:, None]).reshape(-1, 81)).reshape(-1, 9, 9)
     right = (total @ (weighed * lengths[:, None]))[..., None]
     found = np.linalg.solve(moments + _RIDGE * np.eye(9), right).reshape(-1, 3, 3)
-    missed = np.einsum("kcd,kcd->k", basis, found[owner]) - lengths
-    sloped = np.einsum("kcd,kcd->k", basis[..., 1:], found[owner][..., 1:])
+    parts = basis * found[owner]
+    missed, sloped = np.sum(parts, axis=(1, 2)) - lengths, np.sum(parts[..., 1:], axis=(1, 2))
     off, part = (total @ (weight * np.square(each)) for each in (missed, sloped))
     entries = found[:, _ENTRIES]
     metric, slope = entries[..., 0], entries[..., 1:] / scale[:, None, None, None]
