@@ -43,7 +43,7 @@ _STOPS = (
     | Status.INPUT
 )
 """Statuses of runs whose wall does not say where elements should be; an unfilled corner is none of them."""
-_FITS = 3  # runs after which nodes are moved onto edges, at most
+_FITS, _MOVES = 3, 2  # runs after which sides that cut are divided, and nodes are moved onto edges, at most
 _FITTED = 0.02  # of an element, which no node is moved by for the last time
 _DOUBTFUL, _GOOD = 0.10, 0.05  # estimated errors of the elements' wall: of one to warn of, and of one that will do
 _ELEMENTS = 2500  # of a new mesh by default, where the first has no more
@@ -201,7 +201,7 @@ def _move_to_edges(
         elif not moving:
             note(*facts, 0, 0.0, 0)
             return best
-        moving &= best is sheet and fit < _FITS and (fit == 0 or len(ends) > 0)
+        moving &= best is sheet and fit < _MOVES and (fit == 0 or len(ends) > 0)
         if moving:
             sheet, moves = _move_and_divide(sheet, scene, result, depth, sides, most)
         else:
