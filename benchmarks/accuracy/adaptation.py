@@ -77,8 +77,9 @@ def show_adapted(cup: Cup, elements: int) -> Row:
 def _adapted_sheet(sheet: Sheet, scene: Scene, result: jaxform.Result, elements: int, *, last: bool) -> Sheet:
     """The sheet on the mesh that follows from a run, with its nodes moved for the wall if it is the last."""
     made = mesher.remesh(sheet, wanted_sizes(scene, result), elements, edge_lines(scene, result))
-    formed, kinks = np.asarray(result.positions, float), beside_edges(scene, result)
-    return smoothing.smooth(made, sheet, formed, kinks) if last else made
+    if not last:
+        return made
+    return smoothing.smooth(made, sheet, np.asarray(result.positions, float), beside_edges(scene, result))
 
 
 def _disc(elements: int) -> Sheet:

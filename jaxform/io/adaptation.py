@@ -180,7 +180,7 @@ def _move_to_edges(
 
     By how much is seen in a run. The stretch beside an edge changes with the move, so another run shows what is left:
     where no element cuts too deep, the mesh stays; where one cuts deeper than before, the mesh before is taken, and
-    from then on sides that cut get new nodes, but no node is moved. So do those of the last run.
+    from then on, and after two moves in any case, sides that cut get new nodes, but no node is moved.
 
     Args:
         document: The scene.

@@ -83,6 +83,11 @@ def _mean_at_nodes(values: Array, triangles: Any, area: Array, count: int) -> Ar
     return total / np.where(weight > 0.0, weight, 1.0)
 
 
+def _mean_sides(points: Array, triangles: Any) -> Array:
+    """Means (n_node,) [m] of the longest sides of each node's elements, with nodes at points (n_node, 3) [m]."""
+    return _mean_at_nodes(longest_sides(points[triangles]), triangles, np.ones(len(triangles)), len(points))
+
+
 def edge_lines(scene: Scene, result: Result) -> list[Array]:
     """Lines (k, 3) [m] on the initial sheet that have come to lie on sharp convex edges of tools to which it sticks."""
     molds = [(number, surface.mold) for number, surface in enumerate(scene.surfaces) if surface.mold.contact.sticks]
@@ -272,7 +277,7 @@ def _goals_on_edges(
         and unit vectors along the edges there (k, 3), zero at corners.
     """
     start, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
-    size = _mean_at_nodes(longest_sides(formed[triangles]), triangles, np.ones(len(triangles)), len(start))
+    size = _mean_sides(formed, triangles)
     goal, edge = _nearest_on_edges(formed, vertices, edges, _BESIDE * float(size.max()))
     near = (np.linalg.norm(goal - formed, axis=1) <= _BESIDE * size) & ~np.asarray(scene.parison.clamped)
     # From above, an edge that runs down is between its faces as a concave one is: elements that cut show which it is.
@@ -334,14 +339,13 @@ def _move_to_corners(goal: Array, formed: Array, size: Array, corners: Array) ->
 
 def beside_edges(scene: Scene, result: Result) -> NDArray[np.bool_]:
     """Mask of the nodes (n_node,) that ended near a sharp edge of a tool to which the sheet sticks."""
-    triangles, count = np.asarray(scene.parison.triangles), len(scene.parison.positions)
-    beside = np.zeros(count, bool)
+    triangles, beside = np.asarray(scene.parison.triangles), np.zeros(len(scene.parison.positions), bool)
     for surface in scene.surfaces:
         mold, vertices = surface.mold, np.asarray(surface.mold.vertices, float)
         edges = topology.sharp_edges(vertices, np.asarray(mold.triangles))
         if mold.contact.sticks and edges.size:
             formed = np.asarray(result.positions, float) - mold.offset_at(float(result.time))
-            size = _mean_at_nodes(longest_sides(formed[triangles]), triangles, np.ones(len(triangles)), count)
+            size = _mean_sides(formed, triangles)
             place, _ = _nearest_on_edges(formed, vertices, edges, _KINK * float(size.max()))
             beside |= np.linalg.norm(place - formed, axis=1) <= _KINK * size
     return beside
