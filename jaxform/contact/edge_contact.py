@@ -47,7 +47,7 @@ NOT_HELD = jnp.iinfo(jnp.int32).max
 """The step of an unused entry of held sides."""
 _MOST_PASSES, _ACCURACY = 1000, 1e-9  # of the solver: passes, and what is left of the gaps
 _ROUNDINGS = 64  # that the gaps are accurate to, in float32
-_SOFTNESS = 1e-5  # of a held side's own compliance: where more are held than can be
+_SOFTNESS = 1e-5  # of a held side's own compliance in the step in which it is first held: where more are than can be
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
 _OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
 _CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals, besides a step's way
@@ -65,6 +65,7 @@ class HeldSides:
         point: The point at which the side is held (3, room) [m], in the frame of the tool.
         edge: The number of the edge, counted over all surfaces (room,).
         step: The step of the window in which it was first held (room,); -1 before, NOT_HELD where it is not.
+        softness: Compliance (room,) of each as a spring, times the mass that its ends oppose to it [s^2].
         count: Number of held sides; above the capacity (room,) some are missing, and the window is rejected.
     """
 
@@ -73,6 +74,7 @@ class HeldSides:
     point: jax.Array
     edge: jax.Array
     step: jax.Array
+    softness: jax.Array
     count: jax.Array
 
     def at(self, place: jax.Array) -> HeldSides:
@@ -106,6 +108,7 @@ def no_held_sides(room: int, real: jnp.dtype) -> HeldSides:
         point=jnp.zeros((3, room), real),
         edge=none,
         step=jnp.full(room, NOT_HELD, jnp.int32),
+        softness=jnp.zeros(room, real),
         count=jnp.int32(0),
     )
 
@@ -350,16 +353,23 @@ def find_held_sides(
         passes = passes & ~(stuck[0] & stuck[1]) & (hangs <= _OVERHANG)
         passes &= begin + jnp.arange(TEST_BLOCK) < near.count
         pairs = materialize((one, other, first + edge, (passes, share, point)))
-        return k + 1, lax_cond_once(jnp.any(passes), lambda held: _add_sides(held, *pairs, number), held)
+        return k + 1, lax_cond_once(jnp.any(passes), lambda held: _add_sides(held, *pairs, number, paths.length), held)
 
     return jax.lax.while_loop(more, test, (jnp.int32(0), held))[1]
 
 
 def _add_sides(
-    held: HeldSides, one: jax.Array, other: jax.Array, edge: jax.Array, found: _Meetings, number: jax.Array
+    held: HeldSides,
+    one: jax.Array,
+    other: jax.Array,
+    edge: jax.Array,
+    found: _Meetings,
+    number: jax.Array,
+    length: jax.Array,
 ) -> HeldSides:
     """Adds the sides that pass, one by one, unless they are held near there; beyond the capacity they only count."""
     passes, shares, points = found
+    softness = (_SOFTNESS * jnp.square(length)).astype(held.softness.dtype)
 
     def add(k: jax.Array, held: HeldSides) -> HeldSides:
         i, j, share = entry(one, k), entry(other, k), entry(shares, k)
@@ -375,7 +385,7 @@ def _add_sides(
         def write(values: jax.Array, new: jax.Array) -> jax.Array:
             return put(values, jnp.where(takes, new[..., None], slice_at(values, at, 1)), at)
 
-        values = jnp.stack([i, j]), share, jnp.stack([entry(x, k) for x in points]), entry(edge, k), number
+        values = jnp.stack([i, j]), share, jnp.stack([entry(x, k) for x in points]), entry(edge, k), number, softness
         values, held = materialize((values, held))
         return HeldSides(
             write(held.ends, values[0]),
@@ -383,6 +393,7 @@ def _add_sides(
             write(held.point, values[2]),
             write(held.edge, values[3]),
             write(held.step, values[4]),
+            write(held.softness, values[5]),
             held.count + meets,
         )
 
@@ -447,7 +458,7 @@ def hold_sides(
     held: HeldSides,
     compliance: jax.Array,
     immovable: jax.Array,
-    length: jax.Array,
+    steps: tuple[jax.Array, jax.Array],
     carrier: tuple[jax.Array, jax.Array],
     number: jax.Array,
     *,
@@ -464,20 +475,25 @@ def hold_sides(
         held: The held sides.
         compliance: Compliance of the nodes (3, n_node) [1/kg].
         immovable: Nodes (n_node,) that constraints do not move.
-        length: Step length [s]; nothing is moved where it is 0.
+        steps: Time step of the velocity update, and the step length [s]; nothing is moved where that is 0.
         carrier: Displacement at the step's end [m] and velocity (3, room) [m/s] of the tool of each side.
         number: Number of the step.
         differentiable: True if JAX can differentiate it.
     """
     weights, scatter = (1.0 - held.share, held.share), differentiable or not on_cpu()
+    velocity_step, length = steps
     active = (held.step < number) & (length > 0.0)
     free, moves = _mobilities(held, active, compliance, immovable)
     mobility = sum(w * move for w, move in zip(weights, moves, strict=True))
 
+    # A force gives a push by both steps. A side gives as much way to it whatever they are: a spring that hardened with
+    # shorter steps would throw nodes, and give energy.
+    give = held.softness / jnp.where(length > 0.0, velocity_step * length, 1.0) * mobility
+
     def displace(push: jax.Array) -> jax.Array:
         """Displacements (3, room) of the held points by such pushes at all of them."""
         nodes = _add_at_ends(jnp.zeros_like(compliance), [move * push for move in moves], held, scatter)
-        return jnp.where(free, _values_at_points(nodes, held) + _SOFTNESS * mobility * push, push)
+        return jnp.where(free, _values_at_points(nodes, held) + give * push, push)
 
     gap = jnp.where(free, held.point + carrier[0] - _values_at_points(positions, held), 0.0)
     inverse = jax.lax.stop_gradient(jnp.where(free, 1.0 / jnp.where(free, mobility, 1.0), 1.0))

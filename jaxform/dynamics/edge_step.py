@@ -60,7 +60,6 @@ def hold_sides_at_edges(
         data: Constants of the window.
         frames: Frames of the surfaces in the step.
     """
-    velocity_step, length = steps
     held, nodes, differentiable = moved.held, moved.nodes, moved.corners is None
     assert held is not None
     tools = _tools_of_edges(held.edge, scene)
@@ -77,7 +76,7 @@ def hold_sides_at_edges(
             held,
             data.active.compliance,
             immovable,
-            length,
+            steps,
             carrier,
             current.count,
             differentiable=differentiable,
@@ -88,9 +87,7 @@ def hold_sides_at_edges(
     account, damping = moved.account, scene.solver.damping
     account = dataclasses.replace(account, contact_loss=account.contact_loss + found.loss)
     if damping is not None:
-        account = dataclasses.replace(
-            account, damping_loss=account.damping_loss + damping * velocity_step * found.damped
-        )
+        account = dataclasses.replace(account, damping_loss=account.damping_loss + damping * steps[0] * found.damped)
     if account.tool_work is not None:
         by_tool = add_by_tool(account.by_tool, scene, tools, found.work)
         account = dataclasses.replace(account, tool_work=account.tool_work + jnp.sum(found.work), by_tool=by_tool)

@@ -252,7 +252,12 @@ def _replay_steps(
         if current.held is not None and known.sides is not None:
             sides = known.sides
             held = dataclasses.replace(
-                current.held, ends=sides.ends, edge=sides.edge, step=sides.step, count=sides.count
+                current.held,
+                ends=sides.ends,
+                edge=sides.edge,
+                step=sides.step,
+                softness=jax.lax.stop_gradient(sides.softness),
+                count=sides.count,
             )
             current = dataclasses.replace(current, held=held)
     current = _scan_in_chunks(lambda current, own: (step(current, own, scene, data, known), None), current, steps)
