@@ -64,21 +64,25 @@ def _smooth(scene: Scene) -> Scene:
 def test_slopes_are_exact_and_hardly_depend_on_where_in_a_step_nodes_land() -> None:
     """A process that begins later forms the same part: the slope by its time is that by the phase of the steps alone.
 
-    Of the logarithm of the wall's variance it is 0.37 [1/s] where nodes land on straight paths.
+    Of the logarithm of the wall's variance it is 0.28 [1/s] where nodes land on straight paths. All take the same
+    steps: which ones a run finds depends on the phase too.
     """
     scene = _smooth(scenes.cup())
-    fast = jaxform.replace(scene, {"solver.damping": jnp.asarray(0.2)})
+    ramp = {"pressure.time": jnp.asarray([0.5, 1.5])}
+    fast = jaxform.replace(scene, ramp | {"solver.damping": jnp.asarray(0.2)})
+    steps = jaxform.run(fast).schedule
 
     @jax.jit
     @jax.value_and_grad
     def unevenness(numbers: dict[str, jax.Array]) -> jax.Array:
-        return jnp.log(jnp.var(jaxform.simulate(jaxform.replace(fast, numbers)).element_thickness))
+        result = jaxform.simulate(jaxform.replace(fast, numbers), schedule=steps)
+        return jnp.log(jnp.var(result.element_thickness))
 
-    numbers = {"parison.thickness": scene.parison.thickness, "pressure.time": jnp.asarray([0.5, 1.5])}
+    numbers = ramp | {"parison.thickness": scene.parison.thickness}
     scenes.assert_slopes(unevenness, numbers, size=1e-6)
     later = [numbers | {"pressure.time": numbers["pressure.time"] + 0.0071 * k} for k in range(6)]
     slopes = [float(jnp.sum(unevenness(each)[1]["pressure.time"])) for each in later]
-    assert np.sqrt(np.mean(np.square(slopes))) < 0.06
+    assert np.sqrt(np.mean(np.square(slopes))) < 0.03
 
 
 def _parts(scene: Scene) -> dict[str, Any]:
