@@ -341,13 +341,16 @@ def _cut_chords(points: Array, triangles: Index, edges: Index, clamped: Mask) ->
     return topology.split_edges(points, triangles, chords, points[chords].mean(1))
 
 
-_LEFT = 0.3  # of the area of a triangle, or of two, which each keeps when nodes move: slivers have short steps
+_LEFT = 0.3  # of the area of a triangle, or of two, which each keeps when nodes move
+_FLATTEST = 0.4  # of the height of low triangles, which each keeps when nodes move: the lowest sets the step of all
+_SMALL = 0.05  # share of the triangles which are low
 
 
 def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
     """The sheet with its nodes at other places, on its surface and in its symmetry planes.
 
-    Nodes that are clamped, or on another boundary, stay, and so does one of which a triangle would become a sliver.
+    Nodes that are clamped, or on another boundary, stay, and so does one of which a triangle would become a sliver, or
+    so low that steps become much shorter.
 
     Args:
         sheet: The sheet.
@@ -362,15 +365,19 @@ def move_nodes(sheet: Sheet, places: Array, pairs: Index) -> Sheet:
     wanted = np.flatnonzero((places != sheet.positions).any(1))
     normal = topology.doubled_normals(sheet.positions, sheet.triangles)
     square, points = np.sum(normal * normal, axis=1), sheet.positions.copy()
-    around = _triangles_of_nodes(sheet.triangles, len(points))
+    height, around = _heights(points, sheet.triangles), _triangles_of_nodes(sheet.triangles, len(points))
+    lowest = _FLATTEST * float(np.quantile(height, _SMALL))
+    least = np.minimum(height, lowest)
     for node in wanted[np.argsort(np.linalg.norm(places - sheet.positions, axis=1)[wanted])]:
         own = around[node]
         last, points[node] = points[node].copy(), places[node]
         new = topology.doubled_normals(points, sheet.triangles[own])
-        if (np.sum(new * normal[own], axis=1) < _LEFT * square[own]).any():
+        flat = np.sum(new * normal[own], axis=1) < _LEFT * square[own]
+        if (flat | (_heights(points, sheet.triangles[own]) < least[own])).any():
             points[node] = last
     there = (points == places).all(1)
-    triangles = _join_nodes(points, np.asarray(sheet.triangles, np.int64), pairs[there[pairs].all(1)], _LEFT)
+    pairs = pairs[there[pairs].all(1)]
+    triangles = _join_nodes(points, np.asarray(sheet.triangles, np.int64), pairs, _LEFT, lowest)
     return replace(sheet, positions=points, triangles=triangles.astype(np.int32), fields=carry_fields(sheet, points))
 
 
@@ -535,8 +542,11 @@ def _triangles_of_nodes(triangles: NDArray[np.integer], count: int) -> list[Inde
     return np.split(np.argsort(corners, kind="stable") // 3, last)
 
 
-def _join_nodes(points: Array, triangles: Index, pairs: Index, least: float) -> Index:
-    """The triangles with edges between pairs of nodes (m, 2), where turning the edge between leaves no sliver."""
+def _join_nodes(points: Array, triangles: Index, pairs: Index, least: float, lowest: float = 0.0) -> Index:
+    """The triangles with edges between pairs of nodes (m, 2), where turning the edge between leaves no sliver.
+
+    Each new triangle has a share of both areas, at least, and a height [m].
+    """
     triangles = triangles.copy()
     joined = {(int(min(pair)), int(max(pair))) for pair in pairs}
     around = _triangles_of_nodes(triangles, len(points)) if joined else []
@@ -553,6 +563,7 @@ def _join_nodes(points: Array, triangles: Index, pairs: Index, least: float) -> 
                 other
                 and (min(c, d), max(c, d)) not in joined
                 and _turn_alike(points, new, triangles[[one, other[0]]], least)
+                and _heights(points, new).min() >= lowest
             ):
                 triangles[[one, other[0]]] = new
                 around[a], around[b] = np.union1d(of_a, other[0]), np.union1d(of_b, one)

@@ -47,7 +47,7 @@ NOT_HELD = jnp.iinfo(jnp.int32).max
 """The step of an unused entry of held sides."""
 _MOST_PASSES, _ACCURACY = 1000, 1e-9  # of the solver: passes, and what is left of the gaps
 _ROUNDINGS = 64  # that the gaps are accurate to, in float32
-_SOFTNESS = 1e-5  # of a held side's own compliance in the step in which it is first held: where more are than can be
+_SOFTNESS = 1e-3  # of its ends' own way in the step in which a side is first held: more may be held than can be
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
 _OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
 _CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals, besides a step's way

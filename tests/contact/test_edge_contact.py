@@ -587,6 +587,23 @@ def test_nodes_that_follow_one_another_on_an_edge_are_joined() -> None:
     assert len(made.triangles) == len(triangles)
 
 
+@pytest.mark.parametrize("below", [0.42, 0.17])
+def test_a_node_stays_where_a_triangle_would_get_so_low_that_steps_become_much_shorter(below: float) -> None:
+    """Of a grid of unit squares one node lies 0.5 above the next row; a third of its triangles' area is too little."""
+    row = np.arange(13)
+    x, y = np.meshgrid(row, row)
+    positions = np.stack([x, y, np.zeros((13, 13))], axis=2).reshape(-1, 3).astype(float)
+    low, node = (np.arange(12)[:, None] * 13 + np.arange(12)).ravel(), 6 * 13 + 6
+    triangles = np.concatenate([np.stack(way, 1) for way in ((low, low + 1, low + 14), (low, low + 14, low + 13))])
+    positions[node, 1] -= 0.5
+    rim = np.isin(positions[:, :2], [0, 12]).any(1)
+    sheet = Sheet(positions, triangles.astype(np.int32), rim, np.zeros(positions.shape, bool))
+    places = positions.copy()
+    places[node, 1] = 5.0 + below
+    made = mesher.move_nodes(sheet, places, np.zeros((0, 2), int))
+    np.testing.assert_array_equal(made.positions, places if below > 0.3 else positions)
+
+
 @pytest.mark.long
 def test_a_mesh_adapted_to_the_ridge_has_a_node_there_and_the_exact_wall_in_every_element() -> None:
     pytest.importorskip("mmgpy")
