@@ -47,7 +47,7 @@ NOT_HELD = jnp.iinfo(jnp.int32).max
 """The step of an unused entry of held sides."""
 _MOST_PASSES, _ACCURACY = 1000, 1e-9  # of the solver: passes, and what is left of the gaps
 _ROUNDINGS = 64  # that the gaps are accurate to, in float32
-_SOFTNESS = 1e-3  # of its ends' own way in the step in which a side is first held: more may be held than can be
+_SOFTNESS = 3e-5  # of its ends' own way in the step in which a side is first held: more may be held than can be
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
 _OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
 _CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals, besides a step's way
@@ -475,20 +475,21 @@ def hold_sides(
         held: The held sides.
         compliance: Compliance of the nodes (3, n_node) [1/kg].
         immovable: Nodes (n_node,) that constraints do not move.
-        steps: Time step of the velocity update, and the step length [s]; nothing is moved where that is 0.
+        steps: Time [s] over which a force accelerates nodes in the step, less with damping, and the step length [s];
+            nothing is moved where that is 0.
         carrier: Displacement at the step's end [m] and velocity (3, room) [m/s] of the tool of each side.
         number: Number of the step.
         differentiable: True if JAX can differentiate it.
     """
     weights, scatter = (1.0 - held.share, held.share), differentiable or not on_cpu()
-    velocity_step, length = steps
+    accelerated, length = steps
     active = (held.step < number) & (length > 0.0)
     free, moves = _mobilities(held, active, compliance, immovable)
     mobility = sum(w * move for w, move in zip(weights, moves, strict=True))
 
     # A force gives a push by both steps. A side gives as much way to it whatever they are: a spring that hardened with
     # shorter steps would throw nodes, and give energy.
-    give = held.softness / jnp.where(length > 0.0, velocity_step * length, 1.0) * mobility
+    give = held.softness / jnp.where(length > 0.0, accelerated * length, 1.0) * mobility
 
     def displace(push: jax.Array) -> jax.Array:
         """Displacements (3, room) of the held points by such pushes at all of them."""

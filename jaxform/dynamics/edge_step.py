@@ -65,6 +65,8 @@ def hold_sides_at_edges(
     tools = _tools_of_edges(held.edge, scene)
     carrier = _carrier(tools, frames, held.point)
     before = edge_contact.values_at_ends(current.nodes.velocities, held)
+    damping = scene.solver.damping
+    half = 0.0 if damping is None else 0.5 * damping * steps[0]
     immovable = nodes.stuck | sliding_nodes(nodes.stuck, nodes.wall) if scene.slides else nodes.stuck
     zero = jnp.zeros((), nodes.velocities.dtype)
 
@@ -76,7 +78,7 @@ def hold_sides_at_edges(
             held,
             data.active.compliance,
             immovable,
-            steps,
+            (steps[0] / (1.0 + half), steps[1]),
             carrier,
             current.count,
             differentiable=differentiable,
@@ -84,8 +86,7 @@ def hold_sides_at_edges(
 
     free = HeldNodes(nodes.positions, nodes.velocities, zero, jnp.zeros(held.edge.shape, zero.dtype), zero)
     found = lax_cond_once(held.count > 0, hold, free, differentiable=differentiable)
-    account, damping = moved.account, scene.solver.damping
-    account = dataclasses.replace(account, contact_loss=account.contact_loss + found.loss)
+    account = dataclasses.replace(moved.account, contact_loss=moved.account.contact_loss + found.loss)
     if damping is not None:
         account = dataclasses.replace(account, damping_loss=account.damping_loss + damping * steps[0] * found.damped)
     if account.tool_work is not None:
