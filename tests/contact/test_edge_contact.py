@@ -589,7 +589,7 @@ def test_nodes_that_follow_one_another_on_an_edge_are_joined() -> None:
 
 @pytest.mark.parametrize("below", [0.42, 0.17])
 def test_a_node_stays_where_a_triangle_would_get_so_low_that_steps_become_much_shorter(below: float) -> None:
-    """Of a grid of unit squares one node lies 0.5 above the next row; a third of its triangles' area is too little."""
+    """The node of a grid of unit squares lies 0.5 above the next row; a third of its triangles' area is too little."""
     row = np.arange(13)
     x, y = np.meshgrid(row, row)
     positions = np.stack([x, y, np.zeros((13, 13))], axis=2).reshape(-1, 3).astype(float)
