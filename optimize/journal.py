@@ -25,7 +25,7 @@ Answer = dict[str, Any]
 
 MOST_LINE = 1 << 27
 """Bytes of a line at most: an answer about a mesh of a million elements has a third of that."""
-_GO_ON = "free disk space, then resume with --resume"
+_GO_ON = "then resume with --resume"
 _ANEW = "start a new search with --force"
 _KEYS = {"number", "kind", "at", "answer"}
 _BEGIN = b'{"'  # of every line

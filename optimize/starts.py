@@ -240,7 +240,7 @@ def write_starts(path: str | Path, rows: Iterable[Row]) -> None:
     Raises:
         InputError: It cannot be written; a previous file is kept.
     """
-    with atomic_path(path, "free disk space, then resume with --resume") as fresh, fresh.open("w", newline="") as file:
+    with atomic_path(path, "then resume with --resume") as fresh, fresh.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         writer.writerows([row[name] for name in COLUMNS] for row in rows)

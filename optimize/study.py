@@ -171,7 +171,7 @@ def write_history(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """
     rows = list(rows)
     limits = LIMIT_COLUMNS if rows and LIMIT_COLUMNS[0] in rows[0] else ()
-    with atomic_path(path, "free disk space, then resume with --resume") as fresh, fresh.open("w", newline="") as file:
+    with atomic_path(path, "then resume with --resume") as fresh, fresh.open("w", newline="") as file:
         writer = csv.DictWriter(file, [*COLUMNS, *limits], extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)

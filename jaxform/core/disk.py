@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxform.core import errors
-from jaxform.core.errors import FREE_SPACE, InputError, warn_of
+from jaxform.core.errors import InputError, warn_of
 
 MOST_TEXT = 32_000_000
 """Bytes of a scene, a study or a table: a thousand times what people write."""
@@ -120,12 +120,12 @@ PREFIX = ".jaxform-"
 
 
 @contextlib.contextmanager
-def atomic_path(path: str | Path, remedy: str = "free disk space, or choose another folder") -> Iterator[Path]:
+def atomic_path(path: str | Path, next_step: str = "or choose another folder") -> Iterator[Path]:
     """Yields a temporary path; the file written there then replaces `path` completely, or not at all.
 
     Args:
         path: The file, replaced if it is there.
-        remedy: The remedy in the message where it cannot be written.
+        next_step: As of `write_error`.
 
     Raises:
         InputError: The disk is full, the folder is gone or may not be written.
@@ -139,14 +139,20 @@ def atomic_path(path: str | Path, remedy: str = "free disk space, or choose anot
         with contextlib.suppress(OSError):
             fresh.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise write_error(path, error, remedy) from None
+            raise write_error(path, error, next_step) from None
         raise
 
 
-def write_error(path: str | Path, error: OSError, remedy: str) -> InputError:
-    """The error in words of a file that cannot be written; its remedy names disk space where that is the reason."""
-    known = remedy.replace(FREE_SPACE, errors.remedy_of_writing(error))
-    return InputError(f"cannot be written ({error.strerror or error})", known, file=str(path))
+def write_error(path: str | Path, error: OSError, next_step: str) -> InputError:
+    """The error in words of a file that cannot be written.
+
+    Args:
+        path: The file.
+        error: The system's error, from which the first part of the remedy follows, such as "free disk space".
+        next_step: The other part, after a comma: what to do then, or instead.
+    """
+    remedy = f"{errors.remedy_of_writing(error)}, {next_step}"
+    return InputError(f"cannot be written ({error.strerror or error})", remedy, file=str(path))
 
 
 def write_all(file: io.FileIO, content: bytes) -> None:

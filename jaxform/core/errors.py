@@ -140,7 +140,6 @@ def format_extent(low: Iterable[float], high: Iterable[float]) -> str:
 
 # One-line descriptions of errors of the system or the machine: not of the input alone, nor of the program.
 
-FREE_SPACE = "free disk space"
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -162,7 +161,7 @@ def remedy_of_writing(error: OSError) -> str:
         return "raise the limit on the size of files (ulimit -f)"
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return "make it and its folder writable"
-    return FREE_SPACE
+    return "free disk space"
 
 
 def _describe_os_error(error: OSError) -> str:

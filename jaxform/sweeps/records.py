@@ -37,7 +37,7 @@ MEASURES = {
 }
 """Columns of what a simulation gives, and their units; `seconds` is the wall-clock time of a design on its worker."""
 _FIRST, _STATUS, _LAST = "design", "status", ("folder", "digest")
-_GO_ON = "free disk space, then resume with --resume"
+_GO_ON = "then resume with --resume"
 Row = dict[str, str]
 
 
@@ -324,4 +324,4 @@ def unpack(archive: bytes, folder: Path) -> None:
         fresh.rename(folder)
     except OSError as error:
         shutil.rmtree(fresh, ignore_errors=True)
-        raise write_error(folder, error, "free disk space, then resume with --resume") from None
+        raise write_error(folder, error, _GO_ON) from None

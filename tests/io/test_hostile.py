@@ -305,7 +305,7 @@ def test_a_mold_a_million_times_the_sheet_is_refused_before_anything_is_divided_
     ],
 )
 def test_the_remedy_of_a_file_that_cannot_be_written_follows_from_the_reason(number: int, words: str) -> None:
-    error = disk.write_error("out/x", OSError(number, os.strerror(number)), "free disk space, then go on")
+    error = disk.write_error("out/x", OSError(number, os.strerror(number)), "then go on")
     assert error.remedy == words
 
 

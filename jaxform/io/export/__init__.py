@@ -26,7 +26,7 @@ def write_wall(wall: WallSurface, path: Path, name: str) -> None:
         InputError: The file cannot be written.
     """
     _, write = FORMATS[name]
-    with atomic_path(path, "choose another file (--out)") as fresh:
+    with atomic_path(path, "or choose another file (--out)") as fresh:
         write(fresh, wall)
 
 
