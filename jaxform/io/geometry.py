@@ -432,14 +432,9 @@ def _tool_errors(name: str) -> Iterator[None]:
 
 
 def tool_error(error: InputError, name: str) -> InputError:
-    """An error about the mold as one about a tool, whose keys of motion are its own."""
-
-    def rename(text: str) -> str:
-        text = re.sub(r"\bmold\.(?:motion\.|contact\.)?(?=[a-z])", f"tool.{name}.", text)
-        return text.replace("the mold", "the tool").replace("mold triangle", "triangle")
-
+    """An error about a surface with its key of the mold as one with the key of a tool, whose motion has no table."""
     key = re.sub(rf"^(?:mold|tool[ .]{re.escape(name)})(?:\.motion|\.contact(?=\.))?", f"tool.{name}", error.key)
-    return replace(error, problem=rename(error.problem), remedy=rename(error.remedy), key=key)
+    return replace(error, key=key)
 
 
 @contextlib.contextmanager

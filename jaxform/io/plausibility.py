@@ -41,7 +41,7 @@ _BEHIND = 1e-3  # of the sheet's size: as near as that to its surface a place is
 
 def words_of(tool: Mold) -> tuple[str, str]:
     """The name of a mold or tool in messages, and the key of its table in scene files."""
-    return (f"the tool {tool.name}", f"tool.{tool.name}") if tool.name else ("the mold", "mold")
+    return tool.describe(), f"tool.{tool.name}" if tool.name else "mold"
 
 
 def motion_key(tool: Mold, name: str) -> str:

@@ -192,7 +192,7 @@ def check_motion(mold: Mold, parison: Parison) -> None:
     direction = np.asarray(mold.motion.direction, float)
     for axis in np.flatnonzero(fixed.any(0) & (direction != 0.0)):
         if not _closes_on_plane(mold, parison, int(axis), fixed[:, axis]):
-            problem = f"the mold moves across a symmetry plane (normal to {'xyz'[axis]}), or back from it"
+            problem = f"{mold.describe()} moves across a symmetry plane (normal to {'xyz'[axis]}), or back from it"
             remedy = "move it within the plane, or towards it up to the plane, or give the whole parison"
             raise InputError(problem, remedy, "mold.motion.direction", direction.tolist())
 

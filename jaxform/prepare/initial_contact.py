@@ -153,10 +153,11 @@ def check_start(parison: Parison, triangles: NDArray[np.integer], mold: Mold, gr
             return
     where = positions[sides[0]].mean(0)
     place = ", ".join(f"{value:.4g}" for value in where)
+    what = mold.describe()
     raise InputError(
-        f"the parison initially penetrates the mold, near ({place}) m, in mold triangle {triangle[0]}",
-        "move the mold (mold.translate), make the parison smaller, or give a curved mold smaller triangles "
-        "(mold.element_size, mold.segments)",
+        f"the parison initially penetrates {what}, near ({place}) m, in triangle {triangle[0]} of it",
+        f"move {what} (translate), make the parison smaller, or give a curved surface smaller triangles "
+        "(element_size, segments)",
         "mold",
     )
 

@@ -408,7 +408,7 @@ def _place_on_surface(
     if len(bad := _degenerate(positions, triangles)):
         raise InputError(
             f"the parison cannot be projected onto it: {len(bad)} of its triangles would be degenerate",
-            "compare the sizes of mold and parison (`jaxform check`, mold.scale)",
+            "compare its size with the parison's (`jaxform check`, scale)",
             "mold",
         )
     walls, numbers = np.where(wall != 0, wall, walls), np.where(wall != 0, number, numbers)

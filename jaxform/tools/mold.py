@@ -43,6 +43,10 @@ class Mold:
     temperature: jax.Array | None = None
     heat_transfer: jax.Array | None = None
 
+    def describe(self) -> str:
+        """Its name in messages."""
+        return f"the tool {self.name}" if self.name else "the mold"
+
     def offset_at(self, time: ArrayLike) -> NDArray[np.float64]:
         """The displacement (3,) [m] from where it starts at a time [s], or (n, 3) at times (n,); on the host."""
         return np.zeros((*np.shape(time), 3)) if self.motion is None else self.motion.offset_at(time)
@@ -97,12 +101,12 @@ def make_mold(
     """
     vertices, triangles = np.asarray(vertices, float), np.asarray(triangles)
     if not np.all(np.isfinite(vertices)):
-        raise InputError("a vertex of the mold is not finite", "repair the mesh", key="mold")
+        raise InputError("a vertex is not finite", "repair the mesh", key="mold")
     if triangles.size and (triangles.min() < 0 or triangles.max() >= len(vertices)):
-        raise InputError("a triangle of the mold has a vertex that does not exist", "repair the mesh", key="mold")
+        raise InputError("a triangle has a vertex that does not exist", "repair the mesh", key="mold")
     bad = meshes.find_degenerate(vertices, triangles) if len(triangles) else np.zeros(0, bool)
     if np.all(bad):
-        raise InputError("the mold has no triangles", "give a surface mesh of triangles", key="mold")
+        raise InputError("has no triangles", "give a surface mesh of triangles", key="mold")
     law = Stick() if contact is None else contact
     warmth = {"temperature": temperature, "heat_transfer": heat_transfer}
     for key, value in warmth.items():
@@ -258,7 +262,7 @@ def make_motion(direction: ArrayLike, time: ArrayLike, displacement: ArrayLike) 
     check("mold.motion.time", times)
     check("mold.motion.displacement", far)
     if far[0] != 0.0:
-        remedy = "start with 0, and place the mold at its start (mold.translate)"
+        remedy = "start with 0, and place the surface at its start (translate)"
         raise InputError(
             "the motion does not start with a displacement of 0", remedy, "mold.motion.displacement", float(far[0])
         )

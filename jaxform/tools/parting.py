@@ -39,7 +39,7 @@ def find_parting_plane(shape: MoldShape) -> Plane:
     if not len(edges) or best[0] < _RIM * length.sum():
         raise InputError(
             "needs a mold half that is open in a plane across x, y or z",
-            "give half of the mold, cut in the parting plane (mold.rotate turns it), or leave the land out",
+            "give one half, cut in the parting plane (rotate turns it), or leave the land out",
             "mold.land",
         )
     return best[1]
@@ -71,7 +71,7 @@ def add_land(shape: MoldShape, width: float) -> tuple[MoldShape, int]:
     for loop in loops:
         outline = shapely.Polygon(corners[loop])
         if not outline.is_valid:
-            raise InputError("needs a cavity whose edge does not cross itself", "repair the mold", "mold.land", width)
+            raise InputError("needs a cavity whose edge does not cross itself", "repair the mesh", "mold.land", width)
         cavity = cavity.symmetric_difference(outline)
     low, high = np.array(cavity.bounds).reshape(2, 2)
     # Its sides are divided, so that the triangles are not all as long as the land.
@@ -116,7 +116,7 @@ def _outlines(shape: MoldShape, plane: Plane) -> tuple[list[NDArray[np.int64]], 
         beside.setdefault(one, []).append(other)
         beside.setdefault(other, []).append(one)
     if any(len(each) > 2 for each in beside.values()):
-        raise InputError("needs a cavity whose edge does not touch itself", "repair the mold", "mold.land")
+        raise InputError("needs a cavity whose edge does not touch itself", "repair the mesh", "mold.land")
     loops, openings, left = [], [], set(beside)
     starts = [vertex for vertex, each in beside.items() if len(each) == 1]
     for start in [*starts, *beside]:

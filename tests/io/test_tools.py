@@ -128,8 +128,8 @@ def test_a_file_with_tools_makes_a_scene_with_them() -> None:
         ([_plug(time=[0.1, 0.1])], "tool.plug.time = .*: the knots do not increase"),
         ([_plug(displacement=[0.0])], "tool.plug.displacement = .*: is too short"),
         ([_plug(displacement=[0.0, 1.0, 2.0])], "tool.plug.displacement: 2 times and 3 displacements"),
-        ([_plug(displacement=[0.1, 0.2])], "tool.plug.displacement = 0.1: .* place the tool .*tool.plug.translate"),
-        ([_plug(direction=[1.0, 0.0, 0.0])], "tool.plug.direction = .*: the tool moves across a symmetry plane"),
+        ([_plug(displacement=[0.1, 0.2])], "tool.plug.displacement = 0.1: .* place the surface .*\\(translate\\)"),
+        ([_plug(direction=[1.0, 0.0, 0.0])], "tool.plug.direction = .*: the tool plug moves across a symmetry plane"),
         ([_plug(temperature=40.0)], "tool.plug.temperature = 40.0: has no effect, for the sheet does not cool"),
         ([_plug(heat_transfer=9.0)], "tool.plug.heat_transfer = 9.0: has no effect"),
         ([_plug(shape="cone")], "tool.plug.shape = 'cone': is unknown"),
@@ -140,9 +140,12 @@ def test_a_file_with_tools_makes_a_scene_with_them() -> None:
         ([{"name": "base", "shape": "plate"}], "tool.base.size: is missing; give size = \\[a, b\\] or radius"),
         ([{"name": "base", "shape": "file", "path": "no.stl"}], "tool.base.path = .*no.stl.*: does not exist"),
         ([3], "tool\\[0\\] = 3: is not a table"),
-        ([_plug(translate=[0.02, 0.02, 0.03])], "tool.plug: the parison initially penetrates the tool, .*tool.plug.tr"),
+        (
+            [_plug(translate=[0.02, 0.02, 0.03])],
+            "tool.plug: the parison initially penetrates the tool plug, .*move the tool plug",
+        ),
         # A ring of its vertices, and edges between them, lie in the sheet.
-        ([_plug(translate=[0.0, 0.0, 0.01])], "tool.plug: the parison initially penetrates the tool, "),
+        ([_plug(translate=[0.0, 0.0, 0.01])], "tool.plug: the parison initially penetrates the tool plug, "),
     ],
 )
 def test_errors_name_the_tool(tools: Any, words: str) -> None:
