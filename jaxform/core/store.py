@@ -17,7 +17,7 @@ import pickle
 import platform
 import tempfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -57,8 +57,9 @@ class Store:
 
     Args:
         folder: Path of the folder; None keeps compiled programs in memory.
-        shared: True if other processes use it at the same time: of those that want a program, one compiles it, and runs
-            take those of their own bucket sizes alone, so that no sum depends on what was compiled before.
+        shared: True if other processes use it at the same time: of those that want the same arrays or program, one
+            makes them. Runs take programs of their own bucket sizes alone, so that no sum depends on what was compiled
+            before.
 
     Attributes:
         folder: Path of the folder, made when the first thing is written.
@@ -83,15 +84,25 @@ class Store:
         path = self._path(name, key)
         if path is None:
             return make()
-        kept = _read_verified(path)
-        if kept is not None:
-            with np.load(io.BytesIO(zlib.decompress(kept)), allow_pickle=False) as found:
-                return {key: found[key] for key in found.files}
+        found = _read_arrays(path)
+        if found is not None:
+            return found
+        with self._lock(path):
+            found = _read_arrays(path)  # what another process has made meanwhile
+            return self._make_arrays(path, make) if found is None else found
+
+    def _make_arrays(self, path: Path, make: Callable[[], Arrays]) -> Arrays:
         arrays, file = make(), io.BytesIO()
         np.savez(file, allow_pickle=False, **arrays)
         # A search grid shrinks to an eighth, and to check and expand that takes no longer than to check it whole.
         self._write(path, zlib.compress(file.getbuffer(), 1))
         return arrays
+
+    @contextlib.contextmanager
+    def _lock(self, path: Path) -> Iterator[None]:
+        """Lets one process at a time make a file, where others use the folder."""
+        with disk.exclusive(path.parents[1], path.name) if self.shared else contextlib.nullcontext():
+            yield
 
     def is_noted(self, name: str, key: tuple[Any, ...]) -> bool:
         """True if `note` was called with the same, by any process."""
@@ -218,7 +229,7 @@ class Store:
             return start_compiling(function, *arguments)
         lock = contextlib.ExitStack()
         if self.shared:
-            lock.enter_context(disk.exclusive(path.parents[1], path.name))
+            lock.enter_context(self._lock(path))
             found = self._start_loading(path, function, arguments)  # what another has compiled meanwhile
             if found is not None:
                 lock.close()
@@ -316,6 +327,15 @@ def _content_digest(path: Path, content: Any) -> bytes:
     digest = hashlib.sha256(path.name.encode())
     digest.update(content)
     return digest.digest()
+
+
+def _read_arrays(path: Path) -> Arrays | None:
+    """The arrays in a file; None where it is missing or damaged."""
+    content = _read_verified(path)
+    if content is None:
+        return None
+    with np.load(io.BytesIO(zlib.decompress(content)), allow_pickle=False) as found:
+        return {key: found[key] for key in found.files}
 
 
 def _read_verified(path: Path) -> memoryview | None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import threading
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +80,27 @@ def test_a_damaged_file_is_made_anew(tmp_path: Path, content: bytes) -> None:
     assert np.array_equal(kept.arrays("numbers", (1, "a"), make)["x"], np.arange(3))
     assert len(made) == 2
     assert Store(tmp_path).program(double, jnp.ones(2))(jnp.ones(2)).tolist() == [2, 2]
+
+
+def test_arrays_that_two_processes_want_at_once_are_made_once(tmp_path: Path) -> None:
+    """The second waits for the first, which here waits a second for the second to make them as well."""
+    made, begun, again = list[int](), threading.Event(), threading.Event()
+
+    def want(number: int) -> Any:
+        def make() -> dict[str, np.ndarray]:
+            made.append(number)
+            (begun if len(made) == 1 else again).set()
+            again.wait(1.0)
+            return {"number": np.array(number)}
+
+        return Store(tmp_path / "made", shared=True).arrays("mesh", ("one",), make)
+
+    with ThreadPoolExecutor(2) as threads:
+        first = threads.submit(want, 1)
+        begun.wait()
+        second = threads.submit(want, 2)
+    assert made == [1]
+    assert first.result() == second.result() == {"number": 1}
 
 
 def test_what_differs_is_kept_apart(tmp_path: Path) -> None:
