@@ -92,13 +92,16 @@ class Design:
     first_row: Row | None = None
     secants: dict[str, dict[str, float]] = field(default_factory=dict)
 
+    @property
+    def status(self) -> str:
+        """The status of the best part's run in words, "ok" if nothing stopped it, and the limits that it breaks."""
+        stopped = jaxform.explain(self.result) if int(self.result.status) else ""
+        return "; ".join(filter(None, [stopped, self.broken])) or "ok"
+
     def amend_summary(self, summary: dict[str, Any]) -> dict[str, Any]:
-        """The summary of the part and the search: broken limits, warnings, and its facts."""
-        status = summary["status"]
-        if self.broken:
-            status = self.broken if status == "ok" else f"{status}; {self.broken}"
+        """The summary of the part and the search: status, warnings, and its facts."""
         warnings = [*self.warnings, *summary["warnings"]]
-        return summary | {"status": status, "warnings": warnings, "design": self.summary()}
+        return summary | {"status": self.status, "warnings": warnings, "design": self.summary()}
 
     def summary(self) -> dict[str, Any]:
         """Plain facts: values before and after, cost, and accuracy."""
@@ -107,7 +110,7 @@ class Design:
             {name: _number(row[name]) for name in names} for row in (self.first_row or self.history[0], self.best_row)
         )
         return {
-            "status": self.broken or "ok",
+            "status": self.status,
             "message": self.message,
             "stopped_by": self.stopped_by,
             "before": before,

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-import jaxform
 from jaxform import InputError, InputWarning
 from jaxform.extend import MOST_SOBOL, Outcome, WorkerSetting, compile_once, evaluate, guarded, set_up, worker_setting
 from jaxform.scene_files import atomic_path
@@ -139,9 +138,10 @@ def _row(number: int, design: Design | None, outcome: Outcome) -> Row:
     """The row of a start."""
     if design is None:
         return dict(zip(COLUMNS, (number, "", outcome.status, "", outcome.seconds), strict=True))
-    status = design.broken or ("ok" if not int(design.result.status) else jaxform.explain(design.result))
     last = design.history[-1]
-    return dict(zip(COLUMNS, (number, design.objective, status, last["simulations"], last["seconds"]), strict=True))
+    return dict(
+        zip(COLUMNS, (number, design.objective, design.status, last["simulations"], last["seconds"]), strict=True)
+    )
 
 
 def _rank(design: Design) -> tuple[float, float]:

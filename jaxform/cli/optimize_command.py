@@ -302,7 +302,7 @@ def optimize_design(task: tuple[SceneDocument, Setting, tuple[str, Path, dict[st
     from jaxform.io.files import StudyDocument
     from jaxform.io.validation import validate
     from jaxform.sweeps import evaluation
-    from jaxform.sweeps.workers import OK, Outcome
+    from jaxform.sweeps.workers import Outcome
 
     document, setting, (file, base, data) = task
     before, warned = evaluation.count_compiled(), []
@@ -320,8 +320,7 @@ def optimize_design(task: tuple[SceneDocument, Setting, tuple[str, Path, dict[st
     measures = evaluation.measures_of(summary) | {"seconds": time.perf_counter() - began}
     measures |= {name: found["after"][name] for name in ("objective", "thickness_rms_error")}
     measures |= {"violation": found["violation"], "simulations": found["simulations"]}
-    status = summary["status"] if int(design.result.status) or design.broken else OK
-    return Outcome(status, (measures, archive, evaluation.count_compiled() - before))
+    return Outcome(design.status, (measures, archive, evaluation.count_compiled() - before))
 
 
 def _write_files(folder: Path, document: SceneDocument, design: Any, warned: list[str]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -121,18 +122,37 @@ def test_a_limit_that_is_not_kept_is_told_with_number_and_remedy() -> None:
     assert "deviates by 10 %, more than objective.limit = 5 %" in words
 
 
+LEAST_MASS = (
+    'scene = "scene.toml"\n[[variable]]\nkind = "thickness-profile"\nalong = "radius"\nknots = 4\n'
+    'bounds = [5e-4, 1e-3]\n[objective]\nkind = "least-mass"\nminimum = {}\n'
+    '[solver]\nmethod = "fixed-point"\niterations = 3\n'
+)
+
+
+@pytest.mark.parametrize("minimum", [1e-4, 9.9e-4])
+def test_the_facts_of_a_search_tell_a_mold_that_is_not_filled(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], minimum: float
+) -> None:
+    """As the summary does, beside a broken limit where there is one."""
+    scene = scenes.FILE.replace("fill = false", "").replace("end_time = 0.05", "end_time = 0.02")
+    (tmp_path / "scene.toml").write_text(scene)
+    (tmp_path / "study.toml").write_text(LEAST_MASS.format(minimum))
+    out = tmp_path / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "cache_folder", lambda: None)
+        assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(out), "--quiet"]) == 3
+    status = json.loads((out / "design.json").read_text())["status"]
+    assert status == json.loads((out / "summary.json").read_text())["status"]
+    assert "mold is not filled" in status and ("a limit is violated" in status) == (minimum > 9e-4)
+    told = capfd.readouterr().err
+    assert all(part in told for part in status.split("; a limit"))
+
+
 def test_the_command_tells_a_broken_limit_and_exits_with_3(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """In status and exit status, and the price of what was gained beside it."""
-    import json
-
     scene = scenes.FILE.replace("end_time = 0.05", "end_time = 0.22")
-    study = (
-        'scene = "scene.toml"\n[[variable]]\nkind = "thickness-profile"\nalong = "radius"\nknots = 4\n'
-        'bounds = [5e-4, 1e-3]\n[objective]\nkind = "least-mass"\nminimum = {}\n'
-        '[solver]\nmethod = "fixed-point"\niterations = 3\n'
-    )
     (tmp_path / "scene.toml").write_text(scene)
-    (tmp_path / "study.toml").write_text(study.format(9.5e-4))
+    (tmp_path / "study.toml").write_text(LEAST_MASS.format(9.5e-4))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(session, "cache_folder", lambda: None)
         assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out")]) == 3
@@ -144,7 +164,7 @@ def test_the_command_tells_a_broken_limit_and_exits_with_3(tmp_path: Path, capfd
         )
         assert summary["status"] in captured.err
         assert summary["design"]["violation"] > 0.3 and summary["design"]["stopped_by"] == "iterations"
-        (tmp_path / "study.toml").write_text(study.format(1.0))
+        (tmp_path / "study.toml").write_text(LEAST_MASS.format(1.0))
         assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(tmp_path / "none")]) == 2
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1 and "study.toml: objective.minimum = 1.0: cannot be satisfied" in lines[0]
