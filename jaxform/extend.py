@@ -1,7 +1,7 @@
 """Names for code that is built on jaxform, such as `optimize`: parameters, material points, programs, results."""
 
 from jaxform.core.compilation import compile_function
-from jaxform.core.errors import warn_of
+from jaxform.core.errors import format_percent, warn_of
 from jaxform.core.pytree import as_real, list_parameter_names, parameter_ranges
 from jaxform.core.ranges import LEAST, MOST, Range
 from jaxform.core.store import Store
@@ -48,6 +48,7 @@ __all__ = [
     "drop_unused",
     "evaluate",
     "extend_values",
+    "format_percent",
     "guarded",
     "initial_overstress",
     "list_parameter_names",

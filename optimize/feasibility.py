@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import InputError, Result, Scene
-from jaxform.extend import boundary_nodes, mask_part, number_at
+from jaxform.extend import boundary_nodes, format_percent, mask_part, number_at
 from optimize.designs import KEPT, Point, Study
 from optimize.objectives import LeastMass, Objective, Target, Weighted
 from optimize.sheets import ThicknessField, ThicknessProfile
@@ -78,7 +78,9 @@ def broken_limits(study: Study, scene: Scene, result: Result, best: Point, endin
             used = np.asarray(result.used)
             wall = float(np.asarray(result.element_thickness, float)[used].min())
             short = 1.0 - wall / part.minimum
-            words = f"the thinnest wall is {wall:.4g} m, {100 * short:.2g} % below {key}.minimum = {part.minimum:g} m"
+            words = (
+                f"the thinnest wall is {wall:.4g} m, {format_percent(short)} below {key}.minimum = {part.minimum:g} m"
+            )
             name = f"{key}.minimum"
         elif isinstance(part, Target) and part.limit is not None:
             error = float(part.error(scene, result))
@@ -105,7 +107,7 @@ def _remedies(study: Study, scene: Scene, ending: Ending) -> list[str]:
     at_bound = float(np.mean(sheet >= _AT_BOUND * _most(study)))
     if at_bound > 0.0:
         remedies.append(
-            f"{_thicker(study)} (the sheet has its largest thickness at {100 * at_bound:.2g} % of its nodes)"
+            f"{_thicker(study)} (the sheet has its largest thickness at {format_percent(at_bound)} of its nodes)"
         )
     return remedies
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import Result
-from jaxform.extend import QUASI_STATIC_LIMIT
+from jaxform.extend import QUASI_STATIC_LIMIT, format_percent
 from optimize.designs import Point
 from optimize.pressures import PressureKnots
 from optimize.search import Search
@@ -74,12 +74,12 @@ def _sentence(index: int, variable: Variable, change: float, first: Result, ever
     remedy = "widen its bounds, or choose another variable"
     if not isinstance(variable, SheetVariable) and error <= QUASI_STATIC_LIMIT:
         remedy = (
-            f"the process is slow (energy.quasi_static_error is {100 * error:.2g} %), and the wall of a slow process "
-            "depends on neither pressure nor stiffness nor density: design the sheet's thickness (thickness-profile), "
-            "or make the process faster (a steeper pressure, a shorter solver.end_time)"
+            f"the process is slow (energy.quasi_static_error is {format_percent(error)}), and the wall of a slow "
+            "process depends on neither pressure nor stiffness nor density: design the sheet's thickness "
+            "(thickness-profile), or make the process faster (a steeper pressure, a shorter solver.end_time)"
         )
     return (
-        f"{what}: according to the first gradient, a search over it changes the objective by {100 * change:.2g} %; "
+        f"{what}: according to the first gradient, a search over it changes the objective by {format_percent(change)}; "
         f"{remedy}"
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.adjoint.reversed_scheme import differentiable_window
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, format_percent
 from jaxform.dynamics.window import window
 from jaxform.kernels.blocks import lax_cond_once
 from jaxform.kernels.branches import branch
@@ -192,10 +192,8 @@ class GradientCheck:
         """A line on the secants; none where there are none."""
         if not self.secants.size:
             return []
-        low, high, apart = self.secants.min(), self.secants.max(), 100 * self.secant_error
-        return [
-            f"secants over {SECANTS[0]:.0e} to {SECANTS[1]:.0e}: {low:.4g} to {high:.4g}, up to {apart:.2g} % apart"
-        ]
+        low, high, apart = self.secants.min(), self.secants.max(), format_percent(self.secant_error)
+        return [f"secants over {SECANTS[0]:.0e} to {SECANTS[1]:.0e}: {low:.4g} to {high:.4g}, up to {apart} apart"]
 
     def __repr__(self) -> str:
         """A table with a row for each step, and how far the slope and the secants are apart."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
+from jaxform.core.errors import format_percent
 
 if TYPE_CHECKING:
     from jaxform.core.store import Store
@@ -74,7 +75,7 @@ def adapt_mesh(
 
 def describe_run(run: dict[str, Any]) -> str:
     """A sentence on a run before the run: elements, error, moved and new nodes."""
-    words = f"{run['elements']} elements: estimated error of their wall {100 * run['estimated_error']:.2g} %"
+    words = f"{run['elements']} elements: estimated error of their wall {format_percent(run['estimated_error'])}"
     if "nodes_moved" not in run:
         return words
     words += f"; {run['nodes_moved']} nodes moved onto sharp edges, by up to {run['farthest_move']:.2g} of an element"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import adapt_command, session
 from jaxform.core import disk
-from jaxform.core.errors import InputError, defer_warnings, redirect_warnings
+from jaxform.core.errors import InputError, defer_warnings, format_percent, redirect_warnings
 
 if TYPE_CHECKING:
     from jaxform.core.store import Store
@@ -138,7 +138,7 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path, tou
     say(
         f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, coefficient of variation "
         f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % in contact with "
-        f"{touched}; energy balance within {100 * summary['energy']['balance_error']:.2g} %"
+        f"{touched}; energy balance within {format_percent(summary['energy']['balance_error'])}"
     )
     say(_thinnest(summary["thinnest"]))
     if pieces := summary.get("flash"):
@@ -181,5 +181,5 @@ def _thinnest(found: dict[str, Any]) -> str:
     return (
         f"thinnest wall, recovered from the elements: {1e3 * found['recovered']:.4g} mm, "
         f"{100 * found['recovered_ratio']:.3g} % of the initial thickness there, at {where}; scatter "
-        f"{100 * found['scatter']:.2g} % {around}"
+        f"{format_percent(found['scatter'])} {around}"
     )

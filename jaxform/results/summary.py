@@ -12,7 +12,7 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxform.core.compilation import with_standard_promotion
-from jaxform.core.errors import InputError, format_place
+from jaxform.core.errors import InputError, format_percent, format_place
 from jaxform.loads import Pressure, RegionalLoad
 from jaxform.materials.tension_field import relax_slack_strain
 from jaxform.mesh.topology import components
@@ -290,12 +290,9 @@ def _warnings_of_inertia(result: Result, scene: Scene) -> list[str]:
     if not scene.solver.quasi_static or not error > QUASI_STATIC_LIMIT:
         return []
     peak = float(result.energy.kinetic_peak / jnp.abs(result.energy.work))
-    drag = error - peak
-    what = (
-        f"the kinetic energy reached {100 * peak:.2g} % of the work"
-        if peak > drag
-        else f"damping took {100 * float(result.energy.damping_loss / jnp.abs(result.energy.work)):.2g} % of the work"
-    )
+    drag, lost = error - peak, float(result.energy.damping_loss / jnp.abs(result.energy.work))
+    reached, took = f"the kinetic energy reached {format_percent(peak)}", f"damping took {format_percent(lost)}"
+    what = f"{reached if peak > drag else took} of the work"
     linear = isinstance(scene.pressure, Pressure) and scene.pressure.interpolation == "linear"
     remedy = 'interpolation = "cubic-ramp" or ' if linear else ""
     remedy = f"raise the pressure more slowly ({remedy}later pressure.time and solver.end_time)"
@@ -304,7 +301,7 @@ def _warnings_of_inertia(result: Result, scene: Scene) -> list[str]:
     remedy += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
     return [
         f"this process is not quasi-static (solver.quasi_static): {what}, so the wall may differ by about "
-        f"{100 * error:.2g} % from that of a slow process; {remedy}"
+        f"{format_percent(error)} from that of a slow process; {remedy}"
     ]
 
 

@@ -20,3 +20,8 @@ def test_numbers_are_rounded_and_have_exponents_only_where_they_are_long() -> No
     numbers = [(103.0, 2), (7946.0, 2), (39000.0, 3), (1e6, 4), (0.0, 4), (0.012345, 3), (1.2e9, 2)]
     texts = ["100", "7900", "39000", "1000000", "0", "0.0123", "1.2e+09"]
     assert [errors.format_number(*each) for each in numbers] == texts
+
+
+def test_shares_in_per_cent_have_two_digits_and_no_exponent() -> None:
+    shares = {1.0: "100 %", 0.996: "100 %", 12.34: "1200 %", 0.01234: "1.2 %", 0.0: "0 %", 3e-8: "3e-06 %"}
+    assert [errors.format_percent(share) for share in shares] == list(shares.values())
