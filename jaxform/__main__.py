@@ -2,6 +2,6 @@
 
 import sys
 
-from jaxform.cli.command import main
+from jaxform.cli import main
 
 sys.exit(main())

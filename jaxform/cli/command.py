@@ -15,7 +15,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from jaxform.cli import adapt_command, export_command, fit_command, new_command, session, sweep_command
+from jaxform.cli import (
+    adapt_command,
+    defer_interrupts,
+    export_command,
+    fit_command,
+    new_command,
+    session,
+    sweep_command,
+)
 from jaxform.core import disk, errors, installation
 from jaxform.core.errors import InputError, collect_warnings
 from jaxform.io import catalog
@@ -195,7 +203,8 @@ def _optimize(arguments: argparse.Namespace) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from jaxform.io.report import write_report
+    with defer_interrupts():
+        from jaxform.io.report import write_report
 
     path = write_report(arguments.folder)
     if not arguments.quiet:
@@ -204,7 +213,8 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _render(arguments: argparse.Namespace) -> int:
-    from jaxform.io.rendering import render
+    with defer_interrupts():
+        from jaxform.io.rendering import render
 
     path = arguments.folder / "part.png" if arguments.out is None else disk.expand_path(arguments.out)
     render(arguments.folder, path)
@@ -214,6 +224,7 @@ def _render(arguments: argparse.Namespace) -> int:
 
 
 def _warm(arguments: argparse.Namespace) -> int:
-    from jaxform.cli import precompile
+    with defer_interrupts():
+        from jaxform.cli import precompile
 
     return precompile.warm(arguments)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxform.cli import session
+from jaxform.cli import defer_interrupts, session
 from jaxform.core import disk
 from jaxform.core.errors import InputError, format_number, redirect_warnings, warn_of
 
@@ -62,7 +62,8 @@ def start(arguments: argparse.Namespace) -> int:
         _check_positive(f"--{key}", getattr(arguments, key))
     if arguments.process in ("stretch-blow", "extrusion-blow"):
         return _start_bottle(arguments, say)
-    from jaxform.io import scene_text, scene_wizard
+    with defer_interrupts():
+        from jaxform.io import scene_text, scene_wizard
 
     paths = [disk.expand_path(name) for name in arguments.mold]
     choices = _choices(arguments)

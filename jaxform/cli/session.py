@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxform.cli import INTERRUPTED as INTERRUPTED
+from jaxform.cli import defer_interrupts
 from jaxform.cli.worker_process import DirectCaller, make_caller
 from jaxform.core import disk
 from jaxform.core.disk import PREFIX
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
     from jaxform.model.scene import Scene
     from jaxform.results.result import Result
 
-DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
+DONE, BAD_INPUT, STOPPED = 0, 2, 3
 _SELDOM = (100_000, 50, 50)
 """Thresholds of garbage collection: with the usual ones a short run would spend a tenth of its time on imports."""
 _MOMENT = 1.0  # s, after which a wait is reported
@@ -40,9 +42,10 @@ def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[
 
     The programs of the last run of the `subject` are loaded concurrently from now on.
     """
-    import jax
+    with defer_interrupts():
+        import jax
 
-    from jaxform.core.store import Store
+        from jaxform.core.store import Store
 
     # Asked for on the command line, so the reminder that Python users get is not needed.
     warnings.filterwarnings("ignore", message="jaxform computes in float32")

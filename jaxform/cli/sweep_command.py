@@ -14,7 +14,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
-from jaxform.cli import session
+from jaxform.cli import defer_interrupts, session
 from jaxform.core import disk
 from jaxform.core.errors import warn_of
 from jaxform.core.installation import usable_cores
@@ -55,10 +55,11 @@ def sweep(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The study, table or scene is wrong, or rows can no longer be written to disk.
     """
-    from jaxform.sweeps import records
-    from jaxform.sweeps.records import DESIGNS, head, record_designs
-
     began, say = time.perf_counter(), (lambda _: None) if arguments.quiet else session.say
+    with defer_interrupts():
+        from jaxform.sweeps import records
+        from jaxform.sweeps.records import DESIGNS, head, record_designs
+
     task = _task(arguments)
     found = task.designs
     folder: Path = arguments.out

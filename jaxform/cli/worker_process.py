@@ -12,9 +12,11 @@ import multiprocessing
 import pickle
 import signal
 from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
+from jaxform.cli import defer_interrupts
 from jaxform.core.installation import usable_cores
 
 _NO_ANSWER = (OSError, EOFError)  # where the other process is no more
@@ -48,7 +50,9 @@ class WorkerCaller(DirectCaller):
         context = multiprocessing.get_context("spawn")
         self._here, there = context.Pipe()
         self._process = context.Process(target=_serve, args=(there, module, ready), daemon=True)
-        with _no_interrupts():
+        resource_tracker.ensure_running()  # as a process is started, which would let interrupts through
+        # Not interrupted by Ctrl-C, it still draws the computed results.
+        with defer_interrupts():
             self._process.start()
         there.close()
 
@@ -87,19 +91,6 @@ def make_caller(module: str, ready: str, wanted: bool) -> Iterator[DirectCaller]
     finally:
         if other is not None:
             other.end()
-
-
-@contextlib.contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Protects a process that is started inside from Ctrl-C, so that it still draws the computed results."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _serve(asked: Connection, module: str, ready: str) -> None:

@@ -529,6 +529,31 @@ def test_a_reader_who_leaves_early_stops_nothing() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+_INTERRUPT_IMPORTS = """
+import os, signal, sys
+
+class Interrupt:  # as a library that hides what is raised while it is imported
+    def find_spec(self, name, *_):
+        if name == sys.argv[1]:
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except KeyboardInterrupt:
+                pass
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Interrupt())
+from jaxform.cli import main
+sys.exit(main(["check", "dish"]))
+"""
+
+
+@pytest.mark.parametrize("module", ["jaxform.cli.command", "jax"])
+def test_an_interruption_while_modules_are_imported_ends_the_command(module: str) -> None:
+    command = [sys.executable, "-c", _INTERRUPT_IMPORTS, module]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "jaxform: interrupted\n")
+
+
 def test_help_and_the_list_of_scenes_need_no_jax() -> None:
     words = "import sys; from jaxform.cli import main; main(['scenes']); sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", words], capture_output=True).returncode == 0
