@@ -353,6 +353,11 @@ def draw_map(axes: Any, scene: Scene, values: Array, **colors: Any) -> Any:
     drawn = axes.tripcolor(*places.T, triangles, values[node], shading="gouraud", **colors)
     axes.set(xlabel=labels[0], ylabel=labels[1], aspect="equal" if len(node) == len(values) else "auto")
     if len(node) != len(values):
-        axes.set(ylim=(max(places[:, 1].min(), -0.5 * _ROUND), min(places[:, 1].max(), 0.5 * _ROUND)))
+        axes.set(ylim=angle_range(places))
     axes.grid(False)
     return drawn
+
+
+def angle_range(places: Array) -> list[float]:
+    """The least and the largest angle [degrees] that is shown of an unrolled sheet (n, 2): one turn at most."""
+    return [max(float(places[:, 1].min()), -0.5 * _ROUND), min(float(places[:, 1].max()), 0.5 * _ROUND)]

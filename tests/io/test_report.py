@@ -472,26 +472,54 @@ def test_a_designed_field_is_a_map_and_a_profile_a_line(design: Path, tmp_path: 
     results = stored_results.read_results(tmp_path / "field")
     (chart,) = [one for one in charts.pack_charts(results, contents.Parcel()) if one["title"] == "The initial sheet"]
     assert chart["series"] == [] and chart["legend"] == "start: 2 everywhere"
-    assert chart["map"]["part"] == 0 and chart["map"]["words"] == "initial thickness [mm]"
+    assert chart["map"]["angles"] is None and chart["map"]["words"] == "initial thickness [mm]"
     np.testing.assert_allclose([chart["map"][end] for end in ("low", "high")], [1e3 * field.min(), 2.0])
     # A start that is a field, too, has a map of its own.
     assert results.start is not None
     start = results.start._replace(nodal=results.start.nodal | {"initial_thickness": field[::-1]})
     both = charts._initial(start, results.part, {}, contents.Parcel())
-    assert [one["map"]["part"] for one in both] == [0, 1] and not any(one["legend"] for one in both)
+    assert [one["map"]["points"] for one in both] == ["map0.points", "map1.points"]
+    assert not any(one["legend"] for one in both)
     profile = results.part._replace(nodal=results.part.nodal | {"initial_thickness": 1e-3 * (1.0 + RADIUS)})
     (chart,) = charts._initial(results.start, profile, {}, contents.Parcel())
     assert len(chart["series"]) == 2 and "map" not in chart
-    # Over a sheet that is not flat, as a preform's, its range.
-    place = results.part.reference + np.outer(RADIUS, [0.0, 0.0, 0.3])
-    part = results.part._replace(reference=place)
-    parcel = contents.Parcel()
-    (chart,) = charts._initial(results.start, part, {}, parcel)
-    lines = _unpack(parcel.text({}))[1]
-    least, mean, largest = (lines[line["points"]][:, 1] for line in chart["series"][:3])
-    assert len(chart["series"]) == 6 and not any(line["dots"] for line in chart["series"])
-    assert (least < mean).all() and (mean < largest).all() and 40 >= len(mean) >= 4
-    np.testing.assert_allclose([least.min(), largest.max()], [1e3 * field.min(), 1e3 * field.max()], rtol=1e-4)
+
+
+def _write_tube(design: Path, folder: Path) -> tuple[shapes.Sheet, Array]:
+    """Copies the results of a search, of which the best sheet is a tube with a field [m] that varies around it."""
+    shutil.copytree(design, folder)
+    tube = shapes.tube(radius=0.02, length=0.1, elements=200)
+    turn = np.array([[np.cos(0.2), -np.sin(0.2), 0.0], [np.sin(0.2), np.cos(0.2), 0.0], [0.0, 0.0, 1.0]])
+    tube = dataclasses.replace(tube, positions=tube.positions @ turn.T)
+    x, y, z = tube.positions.T
+    field = 1e-3 * (1.0 + 0.3 * np.sin(np.arctan2(y, x)) + z)
+    count = len(tube.triangles)
+    nodal = {"reference": tube.positions, "thickness": field, "initial_thickness": field, "contact_time": -1.0 + 0 * z}
+    cells = {"thickness": np.ones(count), "stretch_1": np.ones(count), "stretch_2": np.ones(count)}
+    meshes.write_vtu(
+        folder / "final.vtu", 1.1 * tube.positions, tube.triangles, nodal, cells | {"level": 0 * np.ones(count)}
+    )
+    summary = json.loads((folder / "summary.json").read_text()) | {"symmetry_planes": {}, "elements_final": count}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return tube, field
+
+
+def test_a_field_over_a_tube_is_a_map_over_the_angle(design: Path, tmp_path: Path) -> None:
+    """Elements across the cut at 180 degrees are there at both ends, so that the map has no gap."""
+    tube, field = _write_tube(design, tmp_path / "tube")
+    results, parcel = stored_results.read_results(tmp_path / "tube"), contents.Parcel()
+    (chart,) = [one for one in charts.pack_charts(results, parcel) if one["title"] == "The initial sheet"]
+    assert (chart["x"], chart["y"]) == ("z [mm]", "angle about z [degrees]")
+    np.testing.assert_allclose(chart["map"]["angles"], [-180.0, 180.0])
+    arrays = _unpack(parcel.text({}))[1]
+    along, angle, value = arrays[chart["map"]["points"]].T
+    # The whole field in its place.
+    np.testing.assert_allclose(value, 1.0 + 0.3 * np.sin(np.radians(angle)) + 1e-3 * along, atol=1e-4)
+    triangles = arrays[chart["map"]["triangles"]].reshape(-1, 3).astype(int)
+    assert len(triangles) > len(tube.triangles)
+    assert np.ptp(angle[triangles], axis=1).max() < 60.0
+    assert angle.min() < -180.0 and angle.max() > 180.0
+    np.testing.assert_allclose([chart["map"][end] for end in ("low", "high")], [1e3 * field.min(), 2.0])
 
 
 def test_the_wall_beyond_the_part_is_grey(folder: Path) -> None:
@@ -724,6 +752,29 @@ def test_a_field_is_drawn_as_a_map(page: browser.Browser, design: Path, tmp_path
     value, place = page.value("document.querySelector('svg.map .value').textContent").split(" mm at (")
     away = np.hypot(*(1e3 * SHEET.positions[:, :2] - np.array(place.split(")")[0].split(","), float)).T)
     assert away.min() < 0.05 and float(value) == pytest.approx(field[np.argmin(away)], rel=1e-3)
+    assert page.complaints == []
+
+
+def test_a_map_of_a_tube_is_cut_off_at_one_turn(page: browser.Browser, design: Path, tmp_path: Path) -> None:
+    _write_tube(design, tmp_path / "tube")
+    _visit(page, report.write_report(tmp_path / "tube"))
+    low, high, top, height = page.value(
+        "(([field], texts) => ['-100', '100'].map((word) => texts.findLast((text) => text.textContent === word))"
+        ".concat([field]).flatMap((node) => ['y', 'height'].map((name) => node.getAttribute(name))).filter(Boolean))"
+        "([...document.querySelectorAll('svg.map svg')], [...document.querySelectorAll('svg.map text')]).map(Number)"
+    )
+    degree = (low - high) / 200.0
+    assert height == pytest.approx(360.0 * degree, rel=1e-3)
+    assert top + 0.5 * height == pytest.approx(0.5 * (low + high), abs=6.0)  # a word is beside its line
+    page.value(
+        "(({left, top, width, height}) => document.querySelector('svg.map').dispatchEvent(new PointerEvent("
+        "'pointermove', {clientX: left + width / 2, clientY: top + height / 2})))"
+        "(document.querySelector('svg.map').getBoundingClientRect())"
+    )
+    value, where = page.value("document.querySelector('svg.map .value').textContent").split(" mm at ")
+    along, angle = (float(part.split()[0]) for part in where.split(", "))
+    assert where.endswith(" degrees")
+    assert float(value) == pytest.approx(1.0 + 0.3 * np.sin(np.radians(angle)) + 1e-3 * along, rel=1e-3)
     assert page.complaints == []
 
 

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxform.io.canvas import PRESSURE_COLORS
-from jaxform.io.report.contents import Parcel, symmetry_of
+from jaxform.io.report.contents import Parcel, by_first_use, symmetry_of
 from jaxform.io.report.stored_results import Results, StoredPart
 from jaxform.io.surfaces import (
     MOLD_COLOR,
+    angle_range,
     counted_elements,
     distinguishable_points,
-    groups_along,
-    is_flat,
+    map_sheet,
     tool_colors,
     varies_across,
 )
@@ -97,8 +97,11 @@ def is_disc(part: StoredPart, symmetry: Mapping[str, float]) -> bool:
 
 def _scene(part: StoredPart, symmetry: Mapping[str, float]) -> Any:
     """The sheet as sections take it from a scene, as far as the file of the part tells."""
-    sheet = SimpleNamespace(positions=part.reference, triangles=part.triangles, clamped=_clamped_nodes(part, symmetry))
-    return SimpleNamespace(parison=sheet)
+    fixed = np.zeros((len(part.reference), 3), bool)
+    for axis, on_plane in _nodes_on_planes(part, symmetry):
+        fixed[:, axis] = on_plane
+    sheet = {"positions": part.reference, "triangles": part.triangles, "fixed": fixed, "guided": ()}
+    return SimpleNamespace(parison=SimpleNamespace(**sheet, clamped=_clamped_nodes(part, symmetry)))
 
 
 def _point(name: str, chosen: str, part: StoredPart, element: int) -> MeasuringPoint:
@@ -120,13 +123,18 @@ def _representative(part: StoredPart, formed: NDArray[np.int64], mean: float) ->
 def _clamped_nodes(part: StoredPart, symmetry: Mapping[str, float]) -> NDArray[np.bool_]:
     """Nodes (n_node,) of the rim that were held from the start: ends of edges in no symmetry plane."""
     edges = topology.boundary_edges(part.triangles)
-    near = 1e-6 * float(np.ptp(part.reference, axis=0).max())
-    for axis, level in symmetry.items():
-        there = np.abs(part.reference[:, "xyz".index(axis)] - level) <= near
-        edges = edges[~there[edges].all(1)]
+    for _, on_plane in _nodes_on_planes(part, symmetry):
+        edges = edges[~on_plane[edges].all(1)]
     rim = np.zeros(len(part.positions), bool)
     rim[edges.ravel()] = True
     return rim & (part.nodal["contact_time"] == 0.0)
+
+
+def _nodes_on_planes(part: StoredPart, symmetry: Mapping[str, float]) -> list[tuple[int, NDArray[np.bool_]]]:
+    """Axes of the symmetry planes, and the nodes (n_node,) of the initial sheet on each."""
+    near = 1e-6 * float(np.ptp(part.reference, axis=0).max())
+    axes = {"xyz".index(name): level for name, level in symmetry.items()}
+    return [(axis, np.abs(part.reference[:, axis] - level) <= near) for axis, level in axes.items()]
 
 
 _KEPT = 5e-3  # of a limit, by which it may be broken
@@ -188,7 +196,7 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
 def _initial(start: StoredPart, best: StoredPart, symmetry: Mapping[str, float], parcel: Parcel) -> list[Chart]:
     """Chart of the thickness or temperature that the search changed, over the initial sheet; empty without one.
 
-    A field over a flat sheet is a map, one over another sheet its range along it, anything else points along it.
+    A field is a map, anything else points along the sheet.
     """
     changed = [name for name in _DESIGNED if name in best.nodal and not _same(start.nodal.get(name), best.nodal[name])]
     if not changed:
@@ -196,22 +204,13 @@ def _initial(start: StoredPart, best: StoredPart, symmetry: Mapping[str, float],
     (words, factor), name = _DESIGNED[changed[0]], changed[0]
     disc, along = is_disc(best, symmetry), int(np.argmax(np.ptp(best.reference, axis=0)))
     place = np.hypot(*best.reference[:, :2].T) if disc else best.reference[:, along]
-    is_field = varies_across(place, best.nodal[name])
-    if is_field and is_flat(_scene(best, symmetry)):
-        return _maps(start, best, name)
+    if varies_across(place, best.nodal[name]):
+        return _maps(start, best, name, symmetry, parcel)
     series = []
     for role, label, part in (("after", "best design", best), ("before", "start", start)):
         if name not in part.nodal:
             continue
         place = np.hypot(*part.reference[:, :2].T) if disc else part.reference[:, along]
-        if is_field:
-            lines = _range_along(place, part.nodal[name])
-            series += [
-                {"label": f"{label}: least, mean, largest" * (number == 0), "role": role, "dots": False}
-                | _pack(parcel, f"initial.{role}{number}", 1e3 * along_sheet, factor * values)
-                for number, (along_sheet, values) in enumerate(lines)
-            ]
-            continue
         kept = _visible_points(place, part.nodal[name], dots=True)
         points = _pack(parcel, f"initial.{role}", 1e3 * place[kept], factor * part.nodal[name][kept])
         series.append({"label": label, "role": role, "dots": True, **points})
@@ -219,30 +218,36 @@ def _initial(start: StoredPart, best: StoredPart, symmetry: Mapping[str, float],
     return [_chart("The initial sheet", f"{where} [mm]", words, series, zero=factor > 1.0)]
 
 
-def _range_along(place: Array, values: Array) -> list[tuple[Array, Array]]:
-    """Lines (k,), (k,) of the least, the mean and the largest of the values (n,) at nearly the same place (n,)."""
-    groups = groups_along(place)
-    along = np.array([place[group].mean() for group in groups])
-    return [(along, np.array([of(values[group]) for group in groups])) for of in (np.min, np.mean, np.max)]
-
-
-def _maps(start: StoredPart, best: StoredPart, name: str) -> list[Chart]:
+def _maps(start: StoredPart, best: StoredPart, name: str, symmetry: Mapping[str, float], parcel: Parcel) -> list[Chart]:
     """Maps of a designed field over the initial sheet: of the best design, and of the start if it varies, too.
 
-    They have one range of colours, and are drawn from the meshes and values of the parts in the view.
+    They have one range of colours.
     """
     words, factor = _DESIGNED[name]
-    fields = [factor * part.nodal[name] for part in (best, start) if name in part.nodal]
+    parts = [part for part in (best, start) if name in part.nodal]
+    fields = [factor * part.nodal[name] for part in parts]
     low, high = (float(end(np.concatenate(fields))) for end in (np.min, np.max))
     varies = [number for number, field in enumerate(fields) if np.ptp(field) > _EVEN * np.abs(field).max()]
     legend = f"start: {fields[1].mean():.4g} everywhere" if 1 not in varies and len(fields) == 2 else ""
     titles = ["The initial sheet" + ", best design" * (len(varies) == 2), "The initial sheet, start"]
-    return [
-        _chart(titles[number], "x [mm]", "y [mm]", [])
-        | {"map": {"part": number, "key": name, "factor": factor, "low": low, "high": high, "words": words}}
-        | {"legend": legend if number == 0 else ""}
-        for number in varies
-    ]
+    charts = []
+    for number in varies:
+        drawn, labels = _pack_map(_scene(parts[number], symmetry), fields[number], parcel, f"map{number}")
+        drawn |= {"low": low, "high": high, "words": words}
+        charts.append(
+            _chart(titles[number], labels[0], labels[1], []) | {"map": drawn, "legend": legend if number == 0 else ""}
+        )
+    return charts
+
+
+def _pack_map(scene: Any, field: Array, parcel: Parcel, name: str) -> tuple[dict[str, Any], list[str]]:
+    """Packs a map of values (n_node,) over the initial sheet in a plane; its description, and labels of the axes."""
+    places, node, triangles, labels = map_sheet(scene)
+    triangles, first = by_first_use(triangles)
+    parcel.add_triangles(f"{name}.triangles", triangles)
+    parcel.add(f"{name}.points", np.column_stack([places, field[node]])[first])
+    described = {"triangles": f"{name}.triangles", "points": f"{name}.points"}
+    return described | {"angles": angle_range(places) if len(node) != len(field) else None}, labels
 
 
 def _same(one: Array | None, other: Array) -> bool:

@@ -1,8 +1,9 @@
-// A map of a designed field over the sheet before it is formed, with a reading under the pointer.
+// A map of a designed field over the sheet before it is formed, seen from above or unrolled about its axis, with a
+// reading under the pointer.
 
 const SHADES = 64;
 
-function sheetMap(parent, { title, x, y, map, legend: note }, part) {
+function sheetMap(parent, { title, x, y, map, legend: note }, facts) {
   const figure = element(element(parent, "section", { className: "card" }), "figure");
   element(figure, "h2", {}, title);
   const legend = element(figure, "div", { className: "legend" }),
@@ -16,22 +17,31 @@ function sheetMap(parent, { title, x, y, map, legend: note }, part) {
     role: "img",
     "aria-label": `${title}: ${map.words}`,
   });
-  const places = placesOf(part),
-    values = part.values({ key: map.key, of: "nodes", factor: map.factor }),
-    scale = evenScales(places),
+  const nodes = facts.array(map.triangles),
+    points = facts.array(map.points),
+    places = Array.from(nodes, (node) => [points[3 * node], points[3 * node + 1]]),
+    values = Float64Array.from(nodes, (node) => points[3 * node + 2]),
+    scale = map.angles ? scales(shownPart(places, map.angles), false, false) : evenScales(places),
     colors = mapColors(SHADES);
   axes(svg, scale, x, y, false);
+  const field = map.angles ? cutout(svg, ...map.angles.map(scale.up)) : svg;
   shadesOf(values, map).forEach((elements, shade) => {
     if (!elements.length) return;
     const color = `rgb(${colors.subarray(4 * shade, 4 * shade + 3).join()})`;
-    drawn(svg, "path", { fill: color, stroke: color, d: elements.map((k) => outline(places, scale, k)).join("") });
+    drawn(field, "path", { fill: color, stroke: color, d: elements.map((k) => outline(places, scale, k)).join("") });
   });
-  readMap(svg, scale, places, values, unit(map.words));
+  readMap(svg, scale, places, values, unit(map.words), [x, y].map(unit));
 }
 
-// Places of the elements' corners in the sheet [mm].
-function placesOf(part) {
-  return Array.from(part.nodes, (node) => [MM * part.reference[3 * node], MM * part.reference[3 * node + 1]]);
+// Places with the angles that are shown of a sheet, of which elements at the cut are drawn at both ends.
+function shownPart(places, [least, most]) {
+  return places.map(([a, b]) => [a, Math.min(Math.max(b, least), most)]);
+}
+
+// A group that is cut off below and above.
+function cutout(svg, low, high) {
+  const height = low - high;
+  return drawn(svg, "svg", { x: 0, y: high, width: WIDTH, height, viewBox: `0 ${high} ${WIDTH} ${height}` });
 }
 
 // Axes with one unit of length along both, which the sheet fills along one of them.
@@ -68,7 +78,7 @@ function outline(places, scale, element) {
 }
 
 // Shows the value of the node that is nearest to the pointer.
-function readMap(svg, scale, places, values, of) {
+function readMap(svg, scale, places, values, of, units) {
   const group = drawn(svg, "g", { visibility: "hidden" }),
     dot = drawn(group, "circle", { class: "focus", r: 4 }),
     words = drawn(group, "text", { class: "value" });
@@ -85,6 +95,8 @@ function readMap(svg, scale, places, values, of) {
     set(group, { visibility: "visible" });
     set(dot, { cx, cy });
     set(words, { x: cx + (right ? -10 : 10), y: Math.max(cy - 10, TOP + 12), "text-anchor": right ? "end" : "start" });
-    words.textContent = `${short(values[found])} ${of} at (${places[found].map((place) => short(place)).join(", ")}) mm`;
+    const [a, b] = places[found].map((place) => short(place)),
+      where = units[0] === units[1] ? `(${a}, ${b}) ${units[0]}` : `${a} ${units[0]}, ${b} ${units[1]}`;
+    words.textContent = `${short(values[found])} ${of} at ${where}`;
   });
 }

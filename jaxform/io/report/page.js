@@ -8,7 +8,7 @@ async function start() {
   for (const { series } of facts.charts) for (const line of series) line.points = facts.array(line.points);
   const page = new Page(facts);
   for (const described of facts.charts)
-    if (described.map) sheetMap(get("charts"), described, new Part(facts, described.map.part));
+    if (described.map) sheetMap(get("charts"), described, facts);
     else chart(get("charts"), described, (line, number) => page.follow(line, number));
   page.begin();
   document.documentElement.dataset.ready = "yes";
