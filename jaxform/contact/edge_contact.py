@@ -183,10 +183,15 @@ def _meet(before: tuple[Vector, Vector], after: tuple[Vector, Vector], corners: 
     area = jnp.where(passes, area, 1.0)
     share, far = (b * e - c * d) / area, (a * e - b * d) / area
     passes &= (share > 0.0) & (share < 1.0) & (far >= 0.0) & (far <= 1.0)
+    paths = [minus(x, y) for x, y in zip(after, before, strict=True)]
+    square = jnp.maximum(*(dot(path, path) for path in paths))
+    farthest = jnp.sqrt(square)
+    # Both points are apart by no more than the way of the ends. Where side and edge are parallel, both are rounding:
+    # the ends alone meet the tool there.
+    apart = minus(plus(away, scale(share, side)), scale(far, edge))
+    passes &= dot(apart, apart) <= square
     # A line that touches the edge from outside has its normal between those of both faces. Where it has met another
     # edge of a face in the same step, it is beyond that by no more than the way of its ends.
-    paths = [minus(x, y) for x, y in zip(after, before, strict=True)]
-    farthest = jnp.sqrt(jnp.maximum(*(dot(path, path) for path in paths)))
     for third, way in zip(thirds, ways, strict=True):
         width = dot(minus(third, start), way)
         passes &= dot(normal1, way) * width <= farthest + _CONE * width

@@ -324,6 +324,21 @@ def test_a_side_with_a_node_in_contact_is_held_where_less_than_half_of_it_hangs_
     np.testing.assert_allclose(moved.positions[2], [0.0, 0.0 if overhang < 0.5 else -0.1], atol=1e-6)
 
 
+def test_a_side_parallel_to_an_edge_is_not_held_away_from_where_they_meet() -> None:
+    """A sheet's sides lay exactly along the edges of a rib: the points where they met were rounding, far apart."""
+    random = np.random.default_rng(3)
+    angle, begin, end = random.uniform(0.0, 6.0, 500), *np.sort(random.uniform(-0.1, 0.1, (2, 500)), axis=0)
+    way = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    across, up = np.stack([-way[1], way[0], way[2]]), np.array([[0.0], [0.0], [1.0]])
+    corners = tuple(vector(jnp.asarray(x)) for x in (-0.11 * way, 0.13 * way, across, -0.1 * across - up))
+    ends = [vector(jnp.asarray(place * way + 1e-5 * up)) for place in (begin, end)]
+    later = [vector(jnp.asarray(place * way - 2e-5 * up)) for place in (begin, end)]
+    passes, share, point = edge_contact._meet((ends[0], ends[1]), (later[0], later[1]), corners)
+    on_side = np.asarray((begin + np.asarray(share) * (end - begin)) * way)
+    apart = np.linalg.norm(on_side - np.stack(point), axis=0)
+    assert apart[np.asarray(passes)].max(initial=0.0) <= 1e-4, f"{apart[np.asarray(passes)].max():.3g} m"
+
+
 @pytest.mark.parametrize("steps", [(1.0, 1.0), (0.5, 0.05), (10.0, 20.0)])
 def test_held_sides_at_rest_under_a_force_stay_at_rest_in_steps_of_any_length(steps: tuple[float, float]) -> None:
     """A side that gave way in proportion to the step threw its nodes where steps became shorter, and stopped the run.
