@@ -144,9 +144,10 @@ def _row(number: int, design: Design | None, outcome: Outcome) -> Row:
     )
 
 
-def _rank(design: Design) -> tuple[float, float]:
-    """The smaller the better: first whether limits are kept, then the objective."""
-    return (design.violation if design.violation > KEPT else 0.0, design.objective)
+def _rank(design: Design) -> tuple[bool, float, float]:
+    """The smaller the better: first whether its part fails, then whether limits are kept, then the objective."""
+    failed = bool(int(design.result.status))
+    return failed, design.violation if design.violation > KEPT else 0.0, design.objective
 
 
 def _failure(rows: list[Row]) -> InputError:

@@ -297,6 +297,16 @@ def test_several_starts_are_whole_searches_within_the_bounds_the_best_of_which_i
     assert design.summary()["before"]["objective"] == alone[0].history[0]["objective"]
 
 
+def test_a_start_whose_part_fails_is_no_result_beside_one_that_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = optimize.solve(_fixed_point(1))
+    unfilled = dataclasses.replace(whole.result, status=jnp.asarray(jaxform.Status.UNFILLED))
+    found = [dataclasses.replace(whole, objective=0.5 * whole.objective, result=unfilled), whole]
+    monkeypatch.setattr(starts, "solve_once", lambda *_, **__: found.pop(0))
+    design = optimize.solve(_fixed_point(2))
+    assert design.objective == whole.objective and design.status == "ok"
+    assert "not filled" in design.starts[0]["status"] and design.starts[1]["status"] == "ok"
+
+
 def test_starts_on_an_executor_are_the_same_and_more_of_them_repeat_nothing(tmp_path: Path) -> None:
     path = tmp_path / "search.jsonl"
     here = optimize.solve(_fixed_point(2), journal=optimize.Journal(path, "this one"))
