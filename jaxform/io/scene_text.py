@@ -376,7 +376,11 @@ def _solver(made: Draft) -> list[str]:
             ["edge_contact = true  # hold elements at the edges of ribs that pass between their nodes"]
             * made.edge_contact
         ),
-        *([] if made.drape is None else ["self_contact = true  # where the sheet folds, both films weld (a web)"]),
+        # Over ribs of a cavity the sheet folds as it does over a male mold.
+        *(
+            ["self_contact = true  # where the sheet folds, both films weld (a web)"]
+            * (made.edge_contact or made.drape is not None)
+        ),
     ]
 
 

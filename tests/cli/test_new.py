@@ -157,7 +157,9 @@ def test_a_rib_thinner_than_elements_is_met_by_edge_contact(tmp_path, capfd, mon
         folder = tmp_path / name
         assert command.main(["new", str(folder), "--mold", str(mold)]) == 0
         said = capfd.readouterr()
-        assert ("edge_contact = true" in (folder / "scene.toml").read_text()) is bool(ring)
+        text = (folder / "scene.toml").read_text()
+        assert ("edge_contact = true" in text) is bool(ring)
+        assert ("self_contact = true" in text) is bool(ring), "the sheet folds where it hangs over ribs"
         assert ("a rib or pin thinner than elements" in said.out) is bool(ring)
         assert said.err == ""
         assert command.main(["check", str(folder / "scene.toml")]) == 0

@@ -330,10 +330,11 @@ def test_a_side_parallel_to_an_edge_is_not_held_away_from_where_they_meet() -> N
     angle, begin, end = random.uniform(0.0, 6.0, 500), *np.sort(random.uniform(-0.1, 0.1, (2, 500)), axis=0)
     way = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle])
     across, up = np.stack([-way[1], way[0], way[2]]), np.array([[0.0], [0.0], [1.0]])
-    corners = tuple(vector(jnp.asarray(x)) for x in (-0.11 * way, 0.13 * way, across, -0.1 * across - up))
+    third = -0.1 * across - up
+    start, stop, one, other = (vector(jnp.asarray(x)) for x in (-0.11 * way, 0.13 * way, across, third))
     ends = [vector(jnp.asarray(place * way + 1e-5 * up)) for place in (begin, end)]
     later = [vector(jnp.asarray(place * way - 2e-5 * up)) for place in (begin, end)]
-    passes, share, point = edge_contact._meet((ends[0], ends[1]), (later[0], later[1]), corners)
+    passes, share, point = edge_contact._meet((ends[0], ends[1]), (later[0], later[1]), (start, stop, one, other))
     on_side = np.asarray((begin + np.asarray(share) * (end - begin)) * way)
     apart = np.linalg.norm(on_side - np.stack(point), axis=0)
     assert apart[np.asarray(passes)].max(initial=0.0) <= 1e-4, f"{apart[np.asarray(passes)].max():.3g} m"
