@@ -66,6 +66,7 @@ class HeldSides:
         edge: The number of the edge, counted over all surfaces (room,).
         step: The step of the window in which it was first held (room,); -1 before, NOT_HELD where it is not.
         softness: Compliance (room,) of each as a spring, times the mass that its ends oppose to it [s^2].
+        force: Holding force of the last step (3, room) [N], from which the next one is solved.
         count: Number of held sides; above the capacity (room,) some are missing, and the window is rejected.
     """
 
@@ -75,6 +76,7 @@ class HeldSides:
     edge: jax.Array
     step: jax.Array
     softness: jax.Array
+    force: jax.Array
     count: jax.Array
 
     def at(self, place: jax.Array) -> HeldSides:
@@ -109,6 +111,7 @@ def no_held_sides(room: int, real: jnp.dtype) -> HeldSides:
         edge=none,
         step=jnp.full(room, NOT_HELD, jnp.int32),
         softness=jnp.zeros(room, real),
+        force=jnp.zeros((3, room), real),
         count=jnp.int32(0),
     )
 
@@ -399,6 +402,7 @@ def _add_sides(
             write(held.edge, values[3]),
             write(held.step, values[4]),
             write(held.softness, values[5]),
+            held.force,
             held.count + meets,
         )
 
@@ -445,8 +449,8 @@ def _values_at_points(nodal: Any, held: HeldSides) -> jax.Array:
 class HeldNodes(NamedTuple):
     """Nodes after a step in which sides were held: positions and velocities; the loss, and work at each side [J].
 
-    Also what the holding forces take of the damping loss per damping and step of the velocity [J], which was counted
-    for velocities without them.
+    Also what the holding forces (3, room) [N] take of the damping loss, per damping and velocity step [J], which was
+    counted for velocities without them.
     """
 
     positions: Any
@@ -454,6 +458,7 @@ class HeldNodes(NamedTuple):
     loss: jax.Array
     work: jax.Array
     damped: jax.Array
+    force: jax.Array
 
 
 def hold_sides(
@@ -494,7 +499,8 @@ def hold_sides(
 
     # A force gives a push by both steps. A side gives as much way to it whatever they are: a spring that hardened with
     # shorter steps would throw nodes, and give energy.
-    give = held.softness / jnp.where(length > 0.0, accelerated * length, 1.0) * mobility
+    per_force = accelerated * length
+    give = held.softness / jnp.where(length > 0.0, per_force, 1.0) * mobility
 
     def displace(push: jax.Array) -> jax.Array:
         """Displacements (3, room) of the held points by such pushes at all of them."""
@@ -504,7 +510,11 @@ def hold_sides(
     gap = jnp.where(free, held.point + carrier[0] - _values_at_points(positions, held), 0.0)
     inverse = jax.lax.stop_gradient(jnp.where(free, 1.0 / jnp.where(free, mobility, 1.0), 1.0))
     solve = functools.partial(_conjugate_gradients, inverse=inverse)
-    push = jax.lax.custom_linear_solve(displace, gap, solve, symmetric=True) if scatter else solve(displace, gap)
+    if differentiable:
+        push = jax.lax.custom_linear_solve(displace, gap, solve, symmetric=True)
+    else:
+        # The forces of the last step are nearly those of this one.
+        push = solve(displace, gap, start=jnp.where(free, per_force * held.force, gap))
     impulse, speed = push / jnp.where(length > 0.0, length, 1.0), carrier[1]
     new = _add_at_ends(velocities, [move * impulse for move in moves], held, scatter)
     parts = [jnp.where(move > 0.0, weight, 0.0) for weight, move in zip(weights, moves, strict=True)]
@@ -519,6 +529,7 @@ def hold_sides(
         loss=-jnp.sum(impulse * (0.5 * (earlier + later) - carried)),
         work=jnp.sum(impulse * carried, axis=0),
         damped=0.25 * jnp.sum(impulse * (earlier + flown)),
+        force=jax.lax.stop_gradient(jnp.where(free, push, 0.0) / jnp.where(length > 0.0, per_force, 1.0)),
     )
 
 
@@ -548,11 +559,18 @@ class _Pushes(NamedTuple):
     square: jax.Array
 
 
-def _conjugate_gradients(displace: Callable[[jax.Array], jax.Array], gap: jax.Array, inverse: jax.Array) -> jax.Array:
-    """The pushes (3, room) that displace held points by the gaps (3, room) [m]; preconditioned by the diagonal."""
-    start = inverse * gap
-    first = _Pushes(jnp.int32(0), jnp.zeros_like(gap), gap, start, jnp.sum(gap * start))
-    least = max(_ACCURACY, _ROUNDINGS * float(jnp.finfo(gap.dtype).eps)) ** 2 * first.square
+def _conjugate_gradients(
+    displace: Callable[[jax.Array], jax.Array], gap: jax.Array, inverse: jax.Array, start: jax.Array | None = None
+) -> jax.Array:
+    """The pushes (3, room) that displace held points by the gaps (3, room) [m]; preconditioned by the diagonal.
+
+    What is left of the gaps is the same share of them wherever the pushes start.
+    """
+    residual = gap if start is None else gap - displace(start)
+    ahead = inverse * residual
+    push = jnp.zeros_like(gap) if start is None else start
+    first = _Pushes(jnp.int32(0), push, residual, ahead, jnp.sum(residual * ahead))
+    least = max(_ACCURACY, _ROUNDINGS * float(jnp.finfo(gap.dtype).eps)) ** 2 * jnp.sum(gap * inverse * gap)
 
     def is_inaccurate(pushes: _Pushes) -> jax.Array:
         return (pushes.count < _MOST_PASSES) & (pushes.square > least)

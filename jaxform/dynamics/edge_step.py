@@ -84,7 +84,7 @@ def hold_sides_at_edges(
             differentiable=differentiable,
         )
 
-    free = HeldNodes(nodes.positions, nodes.velocities, zero, jnp.zeros(held.edge.shape, zero.dtype), zero)
+    free = HeldNodes(nodes.positions, nodes.velocities, zero, jnp.zeros(held.edge.shape, zero.dtype), zero, held.force)
     found = lax_cond_once(held.count > 0, hold, free, differentiable=differentiable)
     account = dataclasses.replace(moved.account, contact_loss=moved.account.contact_loss + found.loss)
     if damping is not None:
@@ -93,7 +93,8 @@ def hold_sides_at_edges(
         by_tool = add_by_tool(account.by_tool, scene, tools, found.work)
         account = dataclasses.replace(account, tool_work=account.tool_work + jnp.sum(found.work), by_tool=by_tool)
     nodes = dataclasses.replace(nodes, positions=found.positions, velocities=found.velocities)
-    return dataclasses.replace(moved, nodes=nodes, account=account)
+    pushed = dataclasses.replace(held, force=found.force)
+    return dataclasses.replace(moved, nodes=nodes, account=account, held=pushed)
 
 
 def _tools_of_edges(edge: jax.Array, scene: Scene) -> jax.Array:

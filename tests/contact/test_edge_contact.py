@@ -348,25 +348,29 @@ def test_held_sides_at_rest_under_a_force_stay_at_rest_in_steps_of_any_length(st
     """
     held = no_held_sides(2, jnp.dtype(float))
     share, point = jnp.array([0.5, 0.55]), jnp.array([[0.5, 0.55], [0.0, 0.0], [0.0, 1e-3]])
-    held = dataclasses.replace(
-        held, ends=held.ends.at[1].set(1), share=share, point=point, step=held.step * 0, softness=jnp.full(2, 1e-3)
-    )
+    of_both = {"share": share, "point": point, "step": held.step * 0, "softness": jnp.full(2, 1e-3)}
+    held = dataclasses.replace(held, ends=held.ends.at[1].set(1), count=jnp.int32(2), **of_both)
     forces, still = jnp.array([[0.0, 0.0], [0.0, 0.0], [3.0, -5.0]]), jnp.zeros((3, 2))
 
     @jax.jit
-    def hold(places: jax.Array, steps: Any) -> jax.Array:
+    def hold(places: jax.Array, steps: Any, force: jax.Array) -> tuple[jax.Array, jax.Array]:
         free = places + forces * steps[0] * steps[1]
         flown = vector(free), forces * steps[0], [still, still]
         masses = jnp.ones((3, 2)), jnp.zeros(2, bool)
-        given = held, *masses, steps, (still, still), jnp.int32(1)
-        return jnp.stack(edge_contact.hold_sides(*flown, *given, differentiable=True).positions)
+        given = dataclasses.replace(held, force=force), *masses, steps, (still, still), jnp.int32(1)
+        found = edge_contact.hold_sides(*flown, *given, differentiable=False)
+        return jnp.stack(found.positions), found.force
 
-    rest = jnp.array([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
+    rest, force = jnp.array([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]), held.force
     for _ in range(200):
-        rest = hold(rest, (1.0, 1.0))
-    np.testing.assert_allclose(hold(rest, (1.0, 1.0)), rest, atol=1e-12)
+        rest, force = hold(rest, (1.0, 1.0), force)
+    np.testing.assert_allclose(hold(rest, (1.0, 1.0), force)[0], rest, atol=1e-12)
     assert abs(float(rest[2, 0])) > 1e-3, "the points ask for a turned bar, which gives way to the forces"
-    np.testing.assert_allclose(hold(rest, steps), rest, atol=1e-9)
+    # Whatever the forces from which they are solved.
+    for start in (force, held.force, -force):
+        places, found = hold(rest, steps, start)
+        np.testing.assert_allclose(places, rest, atol=1e-8 * float(jnp.abs(forces).max()) * steps[0] * steps[1])
+        np.testing.assert_allclose(found, force, rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.long
