@@ -499,8 +499,8 @@ def hold_sides(
 
     # A force gives a push by both steps. A side gives as much way to it whatever they are: a spring that hardened with
     # shorter steps would throw nodes, and give energy.
-    per_force = accelerated * length
-    give = held.softness / jnp.where(length > 0.0, per_force, 1.0) * mobility
+    per_force = jnp.where(length > 0.0, accelerated * length, 1.0)
+    give = held.softness / per_force * mobility
 
     def displace(push: jax.Array) -> jax.Array:
         """Displacements (3, room) of the held points by such pushes at all of them."""
@@ -529,7 +529,7 @@ def hold_sides(
         loss=-jnp.sum(impulse * (0.5 * (earlier + later) - carried)),
         work=jnp.sum(impulse * carried, axis=0),
         damped=0.25 * jnp.sum(impulse * (earlier + flown)),
-        force=jax.lax.stop_gradient(jnp.where(free, push, 0.0) / jnp.where(length > 0.0, per_force, 1.0)),
+        force=jax.lax.stop_gradient(jnp.where(free, push, 0.0) / per_force),
     )
 
 

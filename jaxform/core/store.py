@@ -88,7 +88,7 @@ class Store:
         if found is not None:
             return found
         with self._lock(path):
-            found = _read_arrays(path)  # what another process has made meanwhile
+            found = _read_arrays(path) if self.shared else None  # what another process has made meanwhile
             return self._make_arrays(path, make) if found is None else found
 
     def _make_arrays(self, path: Path, make: Callable[[], Arrays]) -> Arrays:

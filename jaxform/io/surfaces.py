@@ -271,14 +271,14 @@ def distinguishable_points(across: Array, up: Array) -> NDArray[np.int64]:
 def varies_across(place: Array, values: Array) -> bool:
     """True if values (n,) differ between nodes at nearly the same place (n,) along a sheet, as those of a field do."""
     left = []
-    for group in groups_along(place):
+    for group in _groups_along(place):
         along, own = place[group] - place[group].mean(), values[group] - values[group].mean()
         # A change that is even along the sheet is no difference across it.
         left.append(own - along * (along @ own) / max(float(along @ along), np.finfo(float).tiny))
     return bool(np.var(np.concatenate(left)) > _ACROSS * np.var(values))
 
 
-def groups_along(place: Array) -> list[NDArray[np.intp]]:
+def _groups_along(place: Array) -> list[NDArray[np.intp]]:
     """The numbers of nodes at nearly the same place (n,) along a sheet, group by group."""
     return np.array_split(np.argsort(place), max(1, min(_GROUPS, len(place) // 8)))
 
