@@ -170,6 +170,7 @@ def _scene(sheet: shapes.Sheet, shape: MoldShape, pressure: float, name: str, **
         mold=jaxform.make_mold(shape.vertices, shape.triangles),
         refinement=jaxform.make_refinement(interval=64, **limits) if limits else None,
         name=name,
+        fill=False,  # the walls at one pressure are compared
     )
 
 
