@@ -32,7 +32,7 @@ def check(study: Study) -> None:
         if isinstance(part, LeastMass) and part.minimum * (1.0 - KEPT) > thickest:
             _refuse(study, f"{key}.minimum", part.minimum, "the wall is thinner somewhere")
         if isinstance(part, Target) and part.limit is not None and _deviation(part, thickest) > part.limit:
-            words = f"the wall deviates by {100 * _deviation(part, thickest):.3g} % or more"
+            words = f"the wall deviates by {format_percent(_deviation(part, thickest), 3)} or more"
             _refuse(study, f"{key}.limit", part.limit, words)
 
 
@@ -85,7 +85,8 @@ def broken_limits(study: Study, scene: Scene, result: Result, best: Point, endin
         elif isinstance(part, Target) and part.limit is not None:
             error = float(part.error(scene, result))
             short = error / part.limit - 1.0
-            words = f"the wall deviates by {100 * error:.3g} %, more than {key}.limit = {100 * part.limit:.3g} %"
+            limit = format_percent(part.limit, 3)
+            words = f"the wall deviates by {format_percent(error, 3)}, more than {key}.limit = {limit}"
             name = f"{key}.limit"
         else:
             continue

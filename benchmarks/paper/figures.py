@@ -26,6 +26,7 @@ from benchmarks.pages import DOCS, read_figures, save, store_figures
 from benchmarks.paper import bottle as bottle_tables
 from benchmarks.timing import best_in_turns, one_core, say, whole_loop
 from jaxform import scenes
+from jaxform.core.errors import format_percent
 from jaxform.core.store import Store
 from jaxform.io import files, surfaces
 from jaxform.model.scene import Scene
@@ -397,9 +398,9 @@ def check_table(found: Row) -> str:
             row["status"],
             f"{100 * row['contact_fraction']:.1f} %",
             f"{1e3 * row['penetration_max']:.2g} mm",
-            f"{100 * row['balance_error']:.1g} %",
-            f"{100 * row['added_mass']:.2g} %",
-            "" if row["wall_error"] is None else f"{100 * row['wall_error']:.2g} %",
+            f"{format_percent(row['balance_error'], 1)}",
+            f"{format_percent(row['added_mass'])}",
+            "" if row["wall_error"] is None else f"{format_percent(row['wall_error'])}",
         ]
         for row in found["counts"].values()
     ]

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "number of runs, each followed by a new mesh; by default that of parison.adapt, or 2"
     parser.add_argument("--passes", metavar="N", type=int, help=words)
     parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
-    parser.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+    session.add_precision(parser)
     parser.add_argument("--force", action="store_true", help="overwrite files in DIR")
 
 

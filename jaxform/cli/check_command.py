@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxform.core.errors import InputError, format_extent, format_number
+from jaxform.core.errors import InputError, format_extent, format_number, format_percent
 from jaxform.core.pytree import as_real
 from jaxform.core.store import Store
 from jaxform.io import files, schema
@@ -130,7 +130,7 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
     found = mesh_connectivity.parison_connectivity(parison)
     first = scene.first_nodes
     held = int(np.asarray(parison.clamped)[:first].sum())
-    parts = f"{found.part_count} part" if found.part_count == 1 else f"{found.part_count} parts"
+    pieces = f"{found.part_count} piece" if found.part_count == 1 else f"{found.part_count} pieces"
     rims = f"{found.rims} rim" if found.rims == 1 else f"{found.rims} rims"
     on_planes = (
         f", {int(np.asarray(parison.fixed)[:first].any(1).sum())} on symmetry planes"
@@ -138,7 +138,7 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
         else ""
     )
     until = "" if parison.clamp_until is None else f" until {float(parison.clamp_until):g} s"
-    yield f"{parts}, {rims}, {held} of {first} nodes clamped{until}{on_planes}"
+    yield f"{pieces}, {rims}, {held} of {first} nodes clamped{until}{on_planes}"
     turns = ", and changes sign" if seen.changes_sign else ""
     loads = "the pressure" if scene.solver.gravity is None else "the pressure with the weight of the sheet"
     if scene.pressure.follows_volume:
@@ -174,10 +174,10 @@ def _mold_lines(scene: Scene, seen: Survey) -> Iterator[str]:
         yield f"the mold {_way(scene.mold.motion)}"
         return
     on = 1.0 - seen.ahead - seen.behind
-    sides = f"{100 * seen.ahead:.3g} % of the mold's area lies on that side"
-    sides += f", {100 * seen.behind:.3g} % on the other, {100 * on:.3g} % next to the sheet"
+    sides = f"{format_percent(seen.ahead, 3)} of the mold's area lies on that side"
+    sides += f", {format_percent(seen.behind, 3)} on the other, {format_percent(on, 3)} next to the sheet"
     if seen.overlap is not None:
-        sides += f"; {100 * seen.overlap:.3g} % of the sheet has mold in front of it"
+        sides += f"; {format_percent(seen.overlap, 3)} of the sheet has mold in front of it"
     yield sides
 
 
@@ -192,7 +192,7 @@ def _tool_lines(tool: Mold) -> Iterator[str]:
     numbers = (("temperature", tool.temperature, "degC"), ("heat transfer", tool.heat_transfer, "W/(m² K)"))
     own = [f"{name} {float(value):.4g} {unit}" for name, value, unit in numbers if value is not None]
     if own:
-        yield f"the tool {tool.name} cools the sheet by numbers other than the mold's: {', '.join(own)}"
+        yield f"the tool {tool.name} cools the sheet with its own {', '.join(own)}"
 
 
 def _way(motion: Motion) -> str:
@@ -229,7 +229,7 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     longest = int(scene.tables.longest_window)
     steps_each = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
     windows = f"at most {scene.tables.window_count} windows of {steps_each} steps"
-    yield f"to {end:.4g} s, first step about {step:.3g} s, {windows}"
+    yield f"end time {end:.4g} s; the first step takes about {step:.3g} s; {windows}"
     steps = end / step + sum(planning.tool_steps(each.mold.motion, each.grid, end, step) for each in scene.surfaces)
     seconds = steps * (_PER_STEP + elements * _PER_ELEMENT)
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
@@ -245,7 +245,7 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
         wait = f"{_seconds_to_compile(scene):.0f} s"
         yield f"compiles first, for about {wait}: no scene of this kind and size was run on this machine before"
     if scene.solver.quasi_static:
-        most = f"{100 * QUASI_STATIC_LIMIT:.2g} %"
+        most = f"{format_percent(QUASI_STATIC_LIMIT)}"
         yield f"quasi-static process: a warning follows if inertia or damping change the wall by more than {most}"
 
 

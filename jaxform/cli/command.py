@@ -100,9 +100,10 @@ def _parser() -> argparse.ArgumentParser:
         ),
     ):
         sub = commands.add_parser(name, help=words, description=words)
-        sub.add_argument("source", metavar=what, help="a built-in name or a .toml file")
+        words = "a built-in name or a .toml file" + (" of a scene or a study" if name == "check" else "")
+        sub.add_argument("source", metavar=what, help=words)
         sub.add_argument("--quiet", action="store_true", help="print warnings and errors only")
-        sub.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+        session.add_precision(sub)
         words = "folder for check.png, a picture of sheet and mold" if name == "check" else "folder for the results"
         sub.add_argument("--out", metavar="DIR", required=name != "check", type=Path, help=words)
         sub.add_argument("--force", action="store_true", help="overwrite results in DIR")
@@ -135,7 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     warm = commands.add_parser("warm", help=words, description=words)
     warm.add_argument("sources", metavar="SCENE", nargs="*", help="a built-in name or a .toml file")
     warm.add_argument("--quiet", action="store_true", help="print warnings and errors only")
-    warm.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+    session.add_precision(warm)
     warm.set_defaults(command=_warm)
     words = "export the wall of a formed part for another analysis, on the formed mesh or on a given mesh"
     exported = commands.add_parser("export", help=words, description=words)

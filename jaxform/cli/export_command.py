@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from jaxform.cli import session
 from jaxform.core import disk
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, format_percent
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mirror", metavar="PLANE", nargs="+", default=[], help=words)
     parser.add_argument("--out", metavar="FILE", type=Path, help="output file (default: wall.* in DIR)")
     parser.add_argument("--force", action="store_true", help="overwrite FILE")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
 
 
 def export(arguments: argparse.Namespace) -> int:
@@ -84,8 +84,8 @@ def _map_wall(arguments: argparse.Namespace, wall: WallSurface) -> tuple[WallSur
     side, nodes, share = mapping.contact_side(wall, posed, reach, whole=not from_mold)
     if share < 1.0:
         said.append(
-            f"of {name}, the side on which the sheet lies is written, {100 * share:.3g} % of its area; the rest, "
-            "another side or too far from the part, gets no wall"
+            f"of {name}, the side on which the sheet lies is written, {format_percent(share, 3)} of its area; "
+            "the rest, another side or too far from the part, gets no wall"
         )
     carried, coverage = mapping.map_wall(wall, side, name)
     if from_mold:

@@ -9,7 +9,7 @@ from typing import Any
 
 from jaxform.cli import session
 from jaxform.core import disk
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, format_percent
 
 _NAMES = ("file", "kind", "column", "stretch", "time", "height", "measured", "fitted")
 
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--weights", choices=("relative", "absolute"), default="relative", help=words)
     words = "density in material.toml [kg/m^3]; 1000 by default, since no test determines it"
     parser.add_argument("--density", metavar="RHO", type=float, default=1000.0, help=words)
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     parser.add_argument("--force", action="store_true", help="overwrite results in DIR")
     parser.set_defaults(dtype="float64")
 
@@ -86,7 +86,7 @@ def fit(arguments: argparse.Namespace) -> int:
 
 
 def _number_lines(facts: dict[str, Any]) -> Iterator[str]:
-    level = f"{100 * facts['confidence_level']:.3g} %"
+    level = f"{format_percent(facts['confidence_level'], 3)}"
     for number in facts["numbers"]:
         unit = f" {number['unit']}" if number["unit"] else ""
         how = (
@@ -104,7 +104,7 @@ def _error_lines(facts: dict[str, Any]) -> Iterator[str]:
         mean, largest = table["mean_relative_error"], table["largest_relative_error"]
         if mean is not None:
             what = f"{Path(table['file']).name} ({table['kind']}, {table['rows']} rows): {table['column']}"
-            yield f"{what} off by {100 * mean:.3g} % on average, {100 * largest:.3g} % at most"
+            yield f"{what} off by {format_percent(mean, 3)} on average, {format_percent(largest, 3)} at most"
 
 
 def _title(facts: dict[str, Any]) -> str:

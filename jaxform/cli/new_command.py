@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--thickness", metavar="M", type=float, help="thickness of the sheet [m]; by default in proportion to its width"
     )
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     parser.add_argument("--force", action="store_true", help="overwrite files in FOLDER")
 
 

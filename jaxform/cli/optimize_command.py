@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
-from jaxform.core.errors import InputError, InputWarning, warn_of
+from jaxform.core.errors import InputError, InputWarning, format_percent, warn_of
 
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
@@ -170,9 +170,10 @@ def _exit_status(design: Any) -> int:
 
 def _progress_words(row: dict[str, Any]) -> str:
     error = row["thickness_rms_error"]
-    what = f"objective {row['objective']:.4g}" if error == "" else f"deviation {100 * error:.3g} %"
+    what = f"objective {row['objective']:.4g}" if error == "" else f"deviation {format_percent(error, 3)}"
     return (
-        f"evaluation {row['evaluation']}, {what}, wall from {1e3 * row['wall_min']:.3g} mm, {1e3 * row['mass']:.4g} g"
+        f"evaluation {row['evaluation']}, {what}, thinnest wall {1e3 * row['wall_min']:.3g} mm, "
+        f"{1e3 * row['mass']:.4g} g"
     )
 
 
@@ -190,11 +191,18 @@ def _write_design(arguments: argparse.Namespace, study: Any, design: Any, refere
 
     history = process.process_history(design.scene, design.result)
     picture = session.picture(arguments, design.scene, design.result, exact, history)
-    session.write_part(arguments, design.scene, design.result, picture, design.amend_summary, then=write_rest)
+    summary = session.write_part(arguments, design.scene, design.result, picture, design.amend_summary, then=write_rest)
     plots.convergence_picture(folder / "convergence.png", design.history)
     before, after = (design.first_scene, design.first_result), (design.scene, design.result)
     plots.design_picture(folder / "design.png", before, after, study.objective.uniform)
-    output.write_json(folder / "design.json", design.summary())
+    _write_facts(folder, summary)
+
+
+def _write_facts(folder: Path, summary: dict[str, Any]) -> None:
+    """Writes design.json: the facts of the search, with all warnings of the summary, also those of the best part."""
+    from jaxform.io import output
+
+    output.write_json(folder / "design.json", summary["design"] | {"warnings": summary["warnings"]})
 
 
 def _changes_sheet(changes: dict[str, Any]) -> bool:
@@ -221,13 +229,14 @@ def _tell_design(say: Callable[[str], None], design: Any, goal: float | None, fo
     first, best = facts["before"], facts["after"]
     if best["thickness_rms_error"] is not None:
         say(
-            f"deviation from the target {100 * first['thickness_rms_error']:.3g} % -> "
-            f"{100 * best['thickness_rms_error']:.3g} %"
+            f"deviation from the target {format_percent(first['thickness_rms_error'], 3)} -> "
+            f"{format_percent(best['thickness_rms_error'], 3)}"
         )
     say(
-        f"wall from {1e3 * first['wall_min']:.4g} -> {1e3 * best['wall_min']:.4g} mm, coefficient of "
-        f"variation {100 * first['wall_cv']:.3g} % -> {100 * best['wall_cv']:.3g} %, mass {1e3 * first['mass']:.4g} -> "
-        f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
+        f"thinnest wall {1e3 * first['wall_min']:.4g} -> {1e3 * best['wall_min']:.4g} mm, coefficient of "
+        f"variation {format_percent(first['wall_cv'], 3)} -> {format_percent(best['wall_cv'], 3)}, "
+        f"mass {1e3 * first['mass']:.4g} -> {1e3 * best['mass']:.4g} g, "
+        f"objective {first['objective']:.4g} -> {best['objective']:.4g}"
     )
     if facts["secants"]:
         ends = [f"{name} {found['slope']:.3g}, {found['secant']:.3g}" for name, found in facts["secants"].items()]
@@ -236,7 +245,7 @@ def _tell_design(say: Callable[[str], None], design: Any, goal: float | None, fo
         say(_compare_starts(design, goal))
     if facts["multiplier"] is not None:
         # The violations are reported with the status.
-        kept = "violated" if design.broken else f"satisfied to {100 * facts['violation']:.2g} %"
+        kept = "violated" if design.broken else f"satisfied to {format_percent(facts['violation'])}"
         say(
             f"limits are {kept}; multiplier {facts['multiplier']:.3g}: improvement of the objective per relative "
             "change of the limit"
@@ -334,5 +343,5 @@ def _write_files(folder: Path, document: SceneDocument, design: Any, warned: lis
     )
     output.write_part(design.first_scene, design.first_result, folder / "start.vtu")
     optimize.write_history(folder / "history.csv", design.history)
-    output.write_json(folder / "design.json", design.summary())
+    _write_facts(folder, summary)
     return summary

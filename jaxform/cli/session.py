@@ -244,6 +244,12 @@ def exit_status(result: Result) -> int:
     return DONE
 
 
+def add_precision(parser: argparse.ArgumentParser) -> None:
+    """Adds the option for the precision of the computation."""
+    words = "precision of the computation; float64 by default"
+    parser.add_argument("--dtype", choices=("float64", "float32"), default="float64", help=words)
+
+
 def say(words: str) -> None:
     """Prints a line; if the output is closed, the command continues without it."""
     try:

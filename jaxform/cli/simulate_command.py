@@ -137,15 +137,15 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path, tou
     )
     say(
         f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, coefficient of variation "
-        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % in contact with "
-        f"{touched}; energy balance within {format_percent(summary['energy']['balance_error'])}"
+        f"{format_percent(summary['thickness']['cv'], 3)}; {format_percent(summary['contact_fraction'], 3)} in contact "
+        f"with {touched}; energy balance within {format_percent(summary['energy']['balance_error'])}"
     )
     say(_thinnest(summary["thinnest"]))
     if pieces := summary.get("flash"):
         low, high = (format_place(place) for place in pieces[0]["box"])
         count = "1 piece," if len(pieces) == 1 else f"{len(pieces)} pieces, the heaviest"
         mass = f"{1e3 * summary['flash_mass']:.3g} of {1e3 * summary['sheet_mass']:.3g} g"
-        say(f"flash (no part): {mass}, in {count} from {low} to {high}")
+        say(f"flash, which is cut off: {mass}, in {count} from {low} to {high}")
     for tool in summary["tools"]:
         if tool["name"] != "mold":
             say(_contact_words(tool))
@@ -158,11 +158,12 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path, tou
 def _contact_words(tool: dict[str, Any]) -> str:
     """The contact of a tool over the run, its work and its friction, in words."""
     if tool["contact_period"] is None:
-        return f"{tool['name']}: touches nothing"
+        return f"{tool['name']}: never touches the sheet"
     begin, end = tool["contact_period"]
     words = (
-        f"{tool['name']}: in contact from {begin:.3g} to {end:.3g} s, with {100 * tool['contact_fraction_max']:.3g} % "
-        f"of the area at most and {100 * tool['contact_fraction']:.3g} % at the end"
+        f"{tool['name']}: in contact from {begin:.3g} to {end:.3g} s, with "
+        f"{format_percent(tool['contact_fraction_max'], 3)} of the area at most and "
+        f"{format_percent(tool['contact_fraction'], 3)} at the end"
     )
     energies = [
         f"{name} {tool[key]:.3g} J" for name, key in (("work", "work"), ("friction", "friction_loss")) if tool[key]
@@ -180,6 +181,6 @@ def _thinnest(found: dict[str, Any]) -> str:
     )
     return (
         f"thinnest wall, recovered from the elements: {1e3 * found['recovered']:.4g} mm, "
-        f"{100 * found['recovered_ratio']:.3g} % of the initial thickness there, at {where}; scatter "
+        f"{format_percent(found['recovered_ratio'], 3)} of the initial thickness there, at {where}; scatter "
         f"{format_percent(found['scatter'])} {around}"
     )

@@ -26,7 +26,7 @@ _MOST_NAMED = 20  # failed designs
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of the command."""
     parser.add_argument("source", metavar="STUDY_OR_TABLE", help="a study with [sweep] (.toml), or a table (.csv)")
-    parser.add_argument("--out", metavar="DIR", required=True, type=Path, help="where the results go")
+    parser.add_argument("--out", metavar="DIR", required=True, type=Path, help="folder for the results")
     parser.add_argument("--scene", metavar="SCENE", help="the scene that a table changes: a name or a .toml file")
     words = "processes of this machine (default: one per core); each uses its share of the cores"
     where = parser.add_mutually_exclusive_group()
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "search for the best design of each row, by variables, objective and solver of the study"
     parser.add_argument("--optimize", action="store_true", help=words)
     parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
-    parser.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+    session.add_precision(parser)
     parser.add_argument("--force", action="store_true", help="overwrite results in DIR")
 
 

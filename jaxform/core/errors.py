@@ -127,9 +127,9 @@ def format_number(value: float, digits: int) -> str:
     return f"{float(f'{value:.{digits}g}'):.7g}"
 
 
-def format_percent(share: float) -> str:
-    """A share in per cent, to two digits: 100 % is not written as 1e+02 %."""
-    return f"{format_number(100 * share, 2)} %"
+def format_percent(share: float, digits: int = 2) -> str:
+    """A share in per cent, rounded to some digits, and without an exponent where it is large."""
+    return f"{format_number(100 * share, digits)} %"
 
 
 def format_place(point: Iterable[float]) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.disk import atomic_path
+from jaxform.core.errors import format_percent
 from jaxform.mesh import raster
 
 Array = NDArray[np.float64]
@@ -131,11 +132,11 @@ def _draw_displacements(axes: Any, process: ProcessHistory, time: Array) -> None
 def _draw_contact(axes: Any, process: ProcessHistory, time: Array) -> None:
     """The shares of all tools, one above the other; the upper edge is the contact fraction."""
     names = list(process.contact)
-    shares = [100 * process.contact[name] for name in names]
-    total = np.sum(shares, axis=0)
+    shares = [process.contact[name] for name in names]
+    total = 100 * np.sum(shares, axis=0)
     colors = [process.colors[name] for name in names]
     labels = [_contact_words(name, share) for name, share in zip(names, shares, strict=True)]
-    axes.stackplot(time, *shares, colors=colors, alpha=0.45, labels=labels, linewidth=0)
+    axes.stackplot(time, *(100 * share for share in shares), colors=colors, alpha=0.45, labels=labels, linewidth=0)
     axes.plot(time, total, color="#303030", linewidth=1.2)
     axes.set_ylabel("area in contact [%]")
     axes.set_ylim(0.0, max(100.0, 1.02 * float(total.max())))
@@ -143,10 +144,10 @@ def _draw_contact(axes: Any, process: ProcessHistory, time: Array) -> None:
 
 
 def _contact_words(name: str, share: Array) -> str:
-    """Label of the share (n,) [%] of the area on a tool."""
+    """Label of the share (n,) of the area on a tool, over time."""
     last, most = float(share[-1]), float(share.max())
-    at_most = f", at most {most:.3g} %" if most > last + 0.1 else ""
-    return f"{name}: {last:.3g} % at the end{at_most}"
+    at_most = f", at most {format_percent(most, 3)}" if most > last + 0.001 else ""
+    return f"{name}: {format_percent(last, 3)} at the end{at_most}"
 
 
 def draw_pictures(part: tuple[Path, PartPicture], process: tuple[Path, ProcessHistory] | None) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxform.core.errors import format_coordinate
+from jaxform.core.errors import format_coordinate, format_percent
 from jaxform.core.pytree import parameter_ranges
 from jaxform.io import canvas
 from jaxform.io.canvas import MINIMUM, Line, PartPicture, draw, new_figure, save
@@ -170,7 +170,7 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
 def _title(scene: Scene, result: Result) -> str:
     wall = wall_statistics(result)
     numbers = ", ".join(f"{words} {1e3 * wall[key]:.3g}" for key, words in _STATISTICS)
-    text = f"{scene.name}: wall {numbers} mm (coefficient of variation {100 * wall['cv']:.3g} %)"
+    text = f"{scene.name}: wall {numbers} mm (coefficient of variation {format_percent(wall['cv'], 3)})"
     status = explain(result)
     return text if status == "ok" else f"{text}\nnot finished: {status.split(';')[0]}"
 
@@ -182,7 +182,7 @@ def _part_words(words: str, part: Part) -> str:
     result = restrict_to_part(part[1], part[0])[0]
     wall = wall_statistics(result)
     return (
-        f"{words}: coefficient of variation {100 * wall['cv']:.3g} %\n"
+        f"{words}: coefficient of variation {format_percent(wall['cv'], 3)}\n"
         f"wall minimum {1e3 * wall['min']:.3g}, maximum {1e3 * wall['max']:.3g} mm, {1e3 * float(result.mass):.3g} g"
     )
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.errors import format_extent, format_number, format_place, warn_of
+from jaxform.core.errors import format_extent, format_number, format_percent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
 from jaxform.io.plausibility import (
     heights_above,
@@ -374,14 +374,16 @@ def _warn_of_bare(
     """Warns of sheet that the pressure would blow past the mold, or through it."""
     if 1 - overlap < _BARE and radius < _HOLE * box_size(seen.sheet):
         return
-    share = f"{100 * (1 - overlap):.3g} % of the sheet has no mold in front of it"
+    share = f"{format_percent(1 - overlap, 3)} of the sheet has no mold in front of it"
     where = f"within {radius:.2g} m of {format_place(middle)} there is none"
     warn_of(f"{share}, {seen.direction}: {where}, so that nothing stops it there", remedy, key="mold", file=file)
 
 
 def _warn_of_side(scene: Scene, seen: Survey, boxes: str, file: str) -> None:
     what = f"the pressure pushes the sheet {seen.direction}, away from the mold"
-    share = f"{100 * seen.ahead:.3g} % of its area lies on that side, {100 * seen.behind:.3g} % on the other"
+    share = (
+        f"{format_percent(seen.ahead, 3)} of its area lies on that side, {format_percent(seen.behind, 3)} on the other"
+    )
     gases = list_gases(scene.pressure).values()
     turned = "draw a vacuum (gas.supply_pressure below 0), " if any(gas.closed_by == "mold" for gas in gases) else ""
     turned = turned if gases else "turn the sign of pressure.value, "

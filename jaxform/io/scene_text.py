@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.disk import atomic_path
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, format_percent
 from jaxform.io.scene_choices import ALPHA, DENSITY, FRICTION, STIFFNESS, Draft, clearance
 from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import meshes
@@ -260,7 +260,7 @@ def _tool(made: Draft, name: str) -> list[str]:
     if made.plug is None:
         return []
     setup = made.plug
-    share = 100 * (setup.stroke - clearance(made.thickness)) / made.found.depth
+    share = (setup.stroke - clearance(made.thickness)) / made.found.depth
     kind = ["# The plug goes into the cavity first. It is in the axes of the mold's file."]
     pose = [
         f"scale = {_number(made.scale)}",
@@ -277,7 +277,7 @@ def _tool(made: Draft, name: str) -> list[str]:
     return [
         "",
         *kind,
-        f"# Its end is at {share:.3g} % of the cavity's depth when the pressure begins to rise.",
+        f"# Its end is at {format_percent(share, 3)} of the cavity's depth when the pressure begins to rise.",
         "[[tool]]",
         'name = "plug"',
         'shape = "file"',

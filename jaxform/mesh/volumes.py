@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.errors import InputError, warn_of
+from jaxform.core.errors import InputError, format_percent, warn_of
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 
@@ -61,7 +61,7 @@ def add_fold_volume(mesh: Mesh, thickness: Array, file: str = "") -> Array:
         raise InputError("is not finite everywhere", "run the scene again", "wrinkled", file=file)
     worst = float(folds.max())
     if worst > _WORTH_TELLING:
-        problem = f"the sheet has wrinkled, up to {100 * worst:.3g} % of an element lies in folds"
+        problem = f"the sheet has wrinkled, up to {format_percent(worst, 3)} of an element lies in folds"
         remedy = "the exported thickness is that of the stacked folds, which keeps the volume, but in one flat layer"
         warn_of(problem, remedy, key="wrinkled", file=file)
     return thickness / (1.0 - np.clip(folds, 0.0, _MOST_FOLDED))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.errors import format_place
+from jaxform.core.errors import format_percent, format_place
 from jaxform.loads import list_gases
 from jaxform.mechanics import membrane
 from jaxform.mesh import meshes
@@ -272,11 +272,11 @@ def _warnings_of_tearing(result: Result) -> list[str]:
     torn = _unreliable_elements(result, ratio)
     if not len(torn):
         return []
-    worst = torn[np.argmin(ratio[torn])]
+    worst = int(torn[np.argmin(ratio[torn])])
     where = format_place(np.asarray(result.positions, float)[triangles[worst]].mean(0))
     count = f"{len(torn)} elements without contact are" if len(torn) > 1 else "an element without contact is"
     return [
-        f"{count} stretched unrealistically: down to {100 * ratio[worst]:.2g} % of the initial thickness at "
+        f"{count} stretched unrealistically: down to {format_percent(ratio[worst])} of the initial thickness at "
         f"{where}; lower the pressure or the end time, or put the mold where it stops the sheet"
     ]
 
@@ -297,7 +297,8 @@ def _warnings_of_thinning(result: Result, scene: Scene) -> list[str]:
     where = format_place(np.asarray(result.positions, float)[triangles[worst]].mean(0))
     wall = float(np.asarray(result.element_thickness, float)[worst])
     return [
-        f"the wall is down to {100 * ratio[worst]:.2g} % of the initial thickness ({wall:.2g} m) at {where}, an area "
-        f"draw ratio of {1 / ratio[worst]:.3g}: polymers withstand up to about {1 / _THIN:.0f}, and material models "
-        "are fitted to less; make the mold shallower, round its corners, form a wider sheet, or push it with a plug"
+        f"the wall is down to {format_percent(ratio[worst])} of the initial thickness ({wall:.2g} m) at {where}, an "
+        f"area draw ratio of {1 / ratio[worst]:.3g}: polymers withstand up to about {1 / _THIN:.0f}, and material "
+        "models are fitted to less; make the mold shallower, round its corners, form a wider sheet, or push it with "
+        "a plug"
     ]

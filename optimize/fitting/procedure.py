@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxform import InputError
-from jaxform.extend import LAWS, MODES, list_parameter_names, warn_of
+from jaxform.extend import LAWS, MODES, format_percent, list_parameter_names, warn_of
 from optimize.fitting import solving
 from optimize.fitting.numbers import make_numbers
 from optimize.fitting.outcome import Fit, Match
@@ -175,7 +175,7 @@ def _warn_of_doubtful_fit(fit: Fit) -> None:
         )
     for match in fit.matches:
         if match.errors.size and match.errors.mean() > _POOR:
-            problem = f"is off by {100 * match.errors.mean():.3g} % on average, in {match.column}"
+            problem = f"is off by {format_percent(match.errors.mean(), 3)} on average, in {match.column}"
             warn_of(problem, f"{fit.model} does not describe this material, or a unit is wrong", file=match.table.name)
     _warn_of_doubtful_numbers(fit)
 

@@ -55,7 +55,7 @@ def test_check_shows_a_mold_on_the_wrong_side(tmp_path: Path, capfd: pytest.Capt
     for words in (
         "sheet with its images: -0.1 to 0.1 x -0.1 to 0.1 x 0 to 0 m",
         "thickness is 0.005 times its size",
-        "1 part, 1 rim, 9 of 30 nodes clamped, 11 on symmetry planes",
+        "1 piece, 1 rim, 9 of 30 nodes clamped, 11 on symmetry planes",
         "up to 20000 Pa, pushes the sheet towards +z",
         "-0.1 to 0.1 x -0.1 to 0.1 x -0.05 to 0 m",
         "0 % of the mold's area lies on that side",

@@ -560,3 +560,12 @@ def test_help_and_the_list_of_scenes_need_no_jax() -> None:
     # All names are there all the same.
     assert {"load", "simulate", "scenes"} < set(dir(jaxform))
     assert all(getattr(jaxform, name) is not None for name in jaxform.__all__)
+
+
+def test_help_describes_every_argument_of_every_command() -> None:
+    subcommands = next(action for action in command._parser()._actions if isinstance(action.choices, dict)).choices
+    assert isinstance(subcommands, dict) and len(subcommands) > 10
+    silent = [
+        f"{name} {action.dest}" for name, sub in subcommands.items() for action in sub._actions if not action.help
+    ]
+    assert not silent

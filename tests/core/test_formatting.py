@@ -1,10 +1,16 @@
-"""Places in words."""
+"""Numbers, shares and places in words."""
 
 from __future__ import annotations
+
+import re
+from pathlib import Path
 
 import numpy as np
 
 from jaxform.core import errors
+from jaxform.io.report import page
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_coordinates_do_not_show_what_rounding_makes_of_0() -> None:
@@ -25,3 +31,14 @@ def test_numbers_are_rounded_and_have_exponents_only_where_they_are_long() -> No
 def test_shares_in_per_cent_have_two_digits_and_no_exponent() -> None:
     shares = {1.0: "100 %", 0.996: "100 %", 12.34: "1200 %", 0.01234: "1.2 %", 0.0: "0 %", 3e-8: "3e-06 %"}
     assert [errors.format_percent(share) for share in shares] == list(shares.values())
+
+
+def test_large_shares_in_per_cent_have_no_exponent_anywhere() -> None:
+    """One function formats each share in a text: a coefficient of variation of 1200 % was printed as 1.2e+03 %."""
+    assert errors.format_percent(12.0, 3) == "1200 %" and errors.format_percent(0.1234, 3) == "12.3 %"
+    assert page.number(12.345, 100, 3) == "1230"
+    by_hand = re.compile(r"\.\dg\} ?%")
+    modules = [path for folder in ("jaxform", "optimize") for path in (ROOT / folder).rglob("*.py")]
+    assert len(modules) > 100
+    found = [path.name for path in modules if by_hand.search(path.read_text(encoding="utf-8"))]
+    assert found == ["page.py"]  # the width of a bar, in CSS

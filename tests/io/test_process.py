@@ -161,7 +161,7 @@ def test_the_contact_of_a_tool_in_words() -> None:
     tool |= {"work": 0.5, "friction_loss": None}
     told = "plug: in contact from 0.1 to 0.3 s, with 25 % of the area at most and 0 % at the end; work 0.5 J"
     assert simulate_command._contact_words(tool) == told
-    assert simulate_command._contact_words(tool | {"contact_period": None}) == "plug: touches nothing"
+    assert simulate_command._contact_words(tool | {"contact_period": None}) == "plug: never touches the sheet"
 
 
 def test_which_tool_an_element_touches() -> None:

@@ -110,9 +110,9 @@ def test_the_command_goes_on_after_a_kill(
     assert command.main(["optimize", str(path), "--out", str(out), "--resume"]) == 0
     told = capfd.readouterr().err
     assert "--resume" in told and "a new one is started" in told and told.count("warning") == 1
-    assert any(
-        "a new one is started" in sentence for sentence in json.loads((out / "summary.json").read_text())["warnings"]
-    )
+    warnings = json.loads((out / "summary.json").read_text())["warnings"]
+    assert any("a new one is started" in sentence for sentence in warnings)
+    assert json.loads((out / "design.json").read_text())["warnings"] == warnings
     whole = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
     notes = out / "search.jsonl"
     lines = notes.read_text().splitlines(keepends=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core import disk
-from jaxform.core.errors import InputError, format_extent, warn_of
+from jaxform.core.errors import InputError, format_extent, format_percent, warn_of
 from jaxform.io import previous_results
 from jaxform.io.export.wall import WallSurface
 from jaxform.mesh import meshes, topology
@@ -54,9 +54,9 @@ class Coverage(NamedTuple):
     def __str__(self) -> str:
         """The coverage as a sentence."""
         return (
-            f"{100 * self.mesh:.4g} % of the mesh lies on the part, its farthest place about {1e3 * self.farthest:.3g} "
-            f"mm away, and {100 * self.part:.4g} % of the part's volume has a place on it; the thickness was scaled by "
-            f"{self.scaled:.5g} to keep {self.volume:.6g} m3"
+            f"{format_percent(self.mesh, 4)} of the mesh lies on the part, its farthest place about "
+            f"{1e3 * self.farthest:.3g} mm away, and {format_percent(self.part, 4)} of the part's volume has a place "
+            f"on it; the thickness was scaled by {self.scaled:.5g} to keep {self.volume:.6g} m3"
         )
 
 
@@ -216,7 +216,7 @@ def _warn_of_coverage(coverage: Coverage, ratio: float, wall: WallSurface, reach
         far = f"its farthest place is {1e3 * coverage.farthest:.3g} mm away"
         where = near if coverage.farthest <= reach else far
         warn_of(
-            f"{100 * (1 - coverage.mesh):.3g} % of the mesh's area does not lie on the formed part: {where}",
+            f"{format_percent(1 - coverage.mesh, 3)} of the mesh's area does not lie on the formed part: {where}",
             f"{remedy}there it has the thickness of the nearest place, and does not count in the volume",
             key="--onto",
             value=name,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-from jaxform.core.errors import format_coordinate
+from jaxform.core.errors import format_coordinate, format_number
 from jaxform.io.report.charts import MeasuringPoint
 from jaxform.io.report.contents import symmetry_of
 from jaxform.io.report.stored_results import Results
@@ -32,7 +32,7 @@ def number(value: Any, factor: float = 1.0, digits: int = 4) -> str:
     """A number in a few digits; a dash for a missing number."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return _NOTHING
-    return f"{factor * value + 0.0:.{digits}g}"
+    return format_number(factor * value + 0.0, digits)
 
 
 def heading(results: Results) -> str:
