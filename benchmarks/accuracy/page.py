@@ -35,12 +35,12 @@ from each mesh to the next; *time* is that of one run on the finest mesh, after 
 def _cases(found: Found, folder: Path) -> str:
     _draw_cases(found, folder / "convergence.png")
     lines = [
-        "## Against solutions that owe nothing to it\n",
+        "## Against exact and independent solutions\n",
         "Discs, spheres, cups and the cone are compared with solutions of the equations along the meridian; the square "
         "and the rectangle with polynomials of high degree that make the energy stationary "
         "(benchmarks/accuracy/membranes.py). Thickness is compared by the root of the mean square over the material. "
         "The wall of a cup is compared with the exact one at the pressure reached (benchmarks/accuracy/cups.py), with "
-        "nothing cut: the corner is open there, and the wall thinnest beside it.\n",
+        "nothing left out: the corner is open there, and the wall is thinnest beside it.\n",
         "![Error over element size](convergence.png)\n",
     ]
     for name, case in found.items():
@@ -80,11 +80,11 @@ def _orders(found: Found) -> str:
         return ""
     rims = ", ".join(f"{name} {100 * error:.2g} %" for name, error in rim.items())
     return (
-        f"Inside the free disc nodal thickness comes down with order {max(inside):.1f}, though each triangle's own "
-        "thickness is constant: what neighbours miss cancels in the linear function that fits a node's elements best. "
-        "On a clamped rim nothing cancels; there the functions of the nodes inside are carried on. Errors on the rim "
-        f"alone, with the finest meshes: {rims}. The wall of a cup has a kink where its corner is: across it no "
-        "uniform mesh is of second order.\n"
+        f"Inside the free disc the nodal thickness converges with order {max(inside):.1f}, although the thickness of "
+        "each triangle is constant: the errors of neighbours cancel in the linear function that fits the elements of a "
+        "node best. On a clamped rim they do not cancel; there the functions of the nodes inside are extrapolated. "
+        f"Errors on the rim alone, with the finest meshes: {rims}. The wall of a cup has a kink at its corner: across "
+        "it no uniform mesh is of second order.\n"
     )
 
 
@@ -308,17 +308,17 @@ def _slow(found: Found, folder: Path) -> str:
     fine = [row for row in rows if row["error"] < 0.5 * QUASI_STATIC_LIMIT]
     lines = [
         "## How slow is slow enough\n",
-        "Done slowly, the wall depends on neither pressure nor stiffness. How far it is from the slow one, on the same "
-        "mesh, over the time of the ramp; a ramp by the cube of time needs a fraction of the time of a linear one, "
-        "and too little damping costs as much as too much of it.\n",
+        "In a slow process the wall depends on neither pressure nor stiffness. The picture shows its deviation from "
+        "the wall of a slow process, on the same mesh, over the time of the ramp. A ramp by the cube of time needs a "
+        "fraction of the time of a linear one, and too little damping costs as much as too much of it.\n",
         "![Deviation over ramp time](ramps.png)\n",
         "A run predicts it: `energy.quasi_static_error` in summary.json"
         " is the largest kinetic energy at the end of a window, over "
         "the work done, plus a fifth of the square of the share of the work that damping took. "
         f"Over {len(seen)} runs that are off by 0.05 to 30 %, the prediction is {middle:.1f} times the "
-        f"deviation in the middle, and {low:.2f} to {high:.1f} times in nine out of ten.\n",
+        f"deviation (median), and {low:.2f} to {high:.1f} times in 90 % of them.\n",
         "![Predicted and true deviation](quasi-static-error.png)\n",
-        f"By scene, in the middle: {_middles(seen_by)}. For a shallow part the prediction is too high.\n"
+        f"Medians by scene: {_middles(seen_by)}. For a shallow part the prediction is too high.\n"
         if len(seen_by) > 2
         else "",
         f"With `quasi_static = true` in [solver] a run that predicts more than {100 * QUASI_STATIC_LIMIT:.2g} % says "
@@ -326,9 +326,9 @@ def _slow(found: Found, folder: Path) -> str:
         f"warns of {_warning_count(off)}, and of {_warning_count(fine)} of the {len(fine)} that are off by less than "
         f"{50 * QUASI_STATIC_LIMIT:.2g} %. The kinetic energy that "
         "is left at the end, or with which the sheet hits the mold, predicts worse: "
-        f"the latter is off by a factor of {_spread(seen, 'hit'):.0f} either way in nine out of ten, the peak alone by "
+        f"the latter is off by a factor of {_spread(seen, 'hit'):.0f} either way in 90 % of them, the peak alone by "
         f"{_spread(seen, 'kinetic'):.1f}, the sum above by {_spread(seen, 'quasi_static_error'):.1f}.\n",
-        "At the damping that the scenes are built in with:\n",
+        "With the damping of the built-in scenes:\n",
         "| | ramp [s] | damping [1/s] | deviation | predicted | kinetic peak | damped | hit |",
         "|---|---|---|---|---|---|---|---|",
     ]
@@ -354,7 +354,7 @@ def _warning_count(rows: list[Found]) -> int:
 
 
 def _spread(rows: list[Found], key: str) -> float:
-    """The factor about its middle within which nine in ten of the ratios to the true deviation lie."""
+    """The factor about their median within which 90 % of the ratios to the true deviation lie."""
     ratio = np.log([max(row[key], 1e-12) / row["error"] for row in rows])
     low, high = np.percentile(ratio, [5, 95])
     return float(np.exp(0.5 * (high - low)))

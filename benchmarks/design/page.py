@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from benchmarks.pages import Found, days, save
 
 _SINCE = """\
-These figures are from before searches stepped within bounds and began with updates of the fixed point (29
-November 2026). Single studies since: `pressure-schedule` comes to a deviation of 1 % after the time of 125
+These figures were measured before searches stepped within bounds and began with fixed-point updates (29 November
+2026). Single studies since then: `pressure-schedule` comes to a deviation of 1 % after the time of 125
 simulations and ends at 0.40 % after 330; `dish-uniform-wall` is at 0.88 % after 6, and ends at 0.82 % after 48,
 as before; `dish-least-mass` ends at the same mass after 112; `bottle-parison` 0.4 % heavier after 188.
 """
@@ -33,7 +33,7 @@ def write(found: Found, folder: Path) -> None:
     (folder / "design.md").write_text("\n".join(text), encoding="utf-8")
 
 
-_HEAD = """# Design by gradient beside other searches
+_HEAD = """# Design by gradient, compared with other searches
 
 Written by `make design` from docs/design.json; change neither by hand. A *simulation* is the time that one run of the
 scene without gradient takes on the processor; a run with gradient, with all columns of a Jacobian, and the check of the
@@ -43,9 +43,9 @@ gradient before a search count for as many as they took.
 
 def _recover(found: Found, _: Path) -> str:
     lines = [
-        "## A known profile, found again\n",
-        f"The dish, {found['elements']} elements, {found['knots']} knots; wanted is the nodal wall that a known sheet "
-        "makes on the same mesh, sought from the uniform sheet.\n",
+        "## Recovery of a known profile\n",
+        f"The dish, {found['elements']} elements, {found['knots']} knots. The target is the nodal wall that a known "
+        "sheet gives on the same mesh; the search starts from the uniform sheet.\n",
         "| | after | deviation of the wall, rms | simulations |",
         "|---|---|---|---|",
     ]
@@ -62,14 +62,17 @@ def _by_iteration(rows: list[Found]) -> list[tuple[str, float, float]]:
         upto = [row for row in rows if row["iteration"] <= iteration and row["gradient_norm"] == ""]
         if upto:
             error = min(row["thickness_rms_error"] for row in upto)
-            shown.append((f"{iteration} iterations", error, upto[-1]["simulations"]))
+            shown.append((f"{iteration} iteration{'s' * (iteration != 1)}", error, upto[-1]["simulations"]))
     return shown
 
 
 def _by_evaluation(rows: list[Found]) -> list[tuple[str, float, float]]:
     errors = np.minimum.accumulate([row["thickness_rms_error"] for row in rows])
     picked = [count for count in (1, 5, 10, 15, 20) if count <= len(rows)]
-    return [(f"{count} evaluations", errors[count - 1], rows[count - 1]["simulations"]) for count in picked]
+    return [
+        (f"{count} evaluation{'s' * (count != 1)}", errors[count - 1], rows[count - 1]["simulations"])
+        for count in picked
+    ]
 
 
 def _mass(found: Found, _: Path) -> str:
@@ -121,12 +124,13 @@ def _melt(found: Found, folder: Path) -> str:
     _draw_melt(found, folder / "melt-schedule.png")
     lines = [
         "## cup-viscoelastic-schedule\n",
-        "A melt with Maxwell modes of 0.07 and 0.7 s, formed in 0.42 s; wanted is the wall of a process of 4.2 s. Of "
-        "each ramp the best of four final pressures is taken that forms the whole cup.\n",
+        "A melt with Maxwell modes of 0.07 and 0.7 s, formed in 0.42 s. The target is the wall of a process of "
+        "4.2 s. Of each ramp the best of the four final pressures that form the whole cup is taken.\n",
         "| | ends at [s] | deviation of the wall, rms |",
         "|---|---|---|",
         f"| **designed** | {found['time'][-1]:.3g} | {_percent(found['error'])} |",
-        f"| by hand: held where it creeps, then up | {found['time'][-1]:.3g} | {_percent(found['by_hand_error'])} |",
+        f"| by hand: constant while the sheet creeps, then rising | {found['time'][-1]:.3g} "
+        f"| {_percent(found['by_hand_error'])} |",
     ]
     for kind, words in _RAMPS:
         rows = [(row["end"], row["error"]) for row in found["ramps"][kind]]
@@ -138,8 +142,8 @@ def _melt(found: Found, folder: Path) -> str:
         f"\nThe design comes **{100 * (1 - found['error'] / best):.0f} % nearer** than the best ramp of its length. "
         f"{facts['evaluations']} evaluations, the time of {facts['simulations']:.0f} simulations. Slopes by single "
         f"knots agree with central differences of a millionth of them to {found['knots_agree']:.0e} (median); larger "
-        "differences see the small jumps of nodes that land on other facets. Ramps of other lengths differ because "
-        "the melt forgets: the kinetic energy of those of 0.42 s stays below 2 % of the work.\n"
+        "differences include small jumps, where nodes land on other facets. Ramps of other lengths differ because "
+        "the melt relaxes: the kinetic energy of those of 0.42 s stays below 2 % of the work.\n"
     )
     lines.append("![Schedules of a melt](melt-schedule.png)\n")
     return "\n".join(lines)
@@ -201,11 +205,11 @@ def _equal_deviation(found: Found, designed: Found) -> list[str]:
 def _searches(found: Found, folder: Path) -> str:
     _draw_searches(found, folder / "search.png")
     lines = [
-        "## Beside other searches\n",
-        "From the same start. The others are SciPy's Nelder-Mead (adaptive), CMA-ES (the library `cma`, its own "
-        "settings) and a random search about the best so far, in the same numbers, so that they keep the bounds too. "
-        "Each table says how many simulations a search took to come as near to our best search's end as a hundredth of "
-        "the way that this one came, and what it had reached in the end.\n",
+        "## Comparison with other searches\n",
+        "All searches start from the same design. The others are SciPy's Nelder-Mead (adaptive), CMA-ES (the library "
+        "`cma`, with its default settings) and a random search about the best design so far. They search over the same "
+        "scaled variables, so they keep the bounds too. Each table gives the number of simulations after which a "
+        "search has made 99 % of the gain of our best search, and the best value in the end.\n",
         "![Objective over simulations](search.png)\n",
     ]
     for case in found.values():
@@ -231,8 +235,8 @@ def _first(curve: list[list[float]], value: float) -> float:
 def _race(case: Found) -> list[str]:
     name, value, cost = goal(case)
     lines = [
-        f"To {value:.4g} ({case['unit']}; {name}'s end and a hundredth of its way):\n",
-        f"| search | simulations to there | over {name} | best in the end | after |",
+        f"Down to {value:.4g} ({case['unit']}), 99 % of the gain of {name}:\n",
+        f"| search | simulations until then | ratio to {name} | best in the end | simulations in all |",
         "|---|---|---|---|---|",
     ]
     for other, curve in case["curves"].items():

@@ -84,12 +84,12 @@ def _drift(found: Found, folder: Path) -> str:
     figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
     lines = [
         "## Energy over many steps\n",
-        "Discs and spheres that a sudden pressure lets swing, without damping, at the default safety: discs swing "
-        "through their plane, and all modes share the energy after a while. *Missing* is strain and kinetic energy "
-        "less the work done, over the largest work. *Swing* is the largest less the least of all values. Without "
-        "damping the step is 0.45 of that with damping, and only falls: nearer the limit the fast modes of a nonlinear "
-        "sheet gain energy at any constant step: the disc of the first row at 0.8, 0.7 and 0.6 of the limit of the "
-        "flat sheet bursts within 2000, 14 000 and 160 000 steps.\n",
+        "Discs and spheres oscillate without damping under a sudden pressure, at the default safety. Discs swing "
+        "through their plane, and after a while the energy is shared by all modes. *Missing* is strain and kinetic "
+        "energy less the work done, over the largest work. *Swing* is the largest less the least of all values. "
+        "Without damping the step is 0.45 of that with damping, and never increases, since nearer the limit the fast "
+        "modes of a nonlinear sheet gain energy at any constant step: the disc of the first row at 0.8, 0.7 and 0.6 of "
+        "the limit of the flat sheet bursts within 2000, 14 000 and 160 000 steps.\n",
         "| | elements | stretch up to | steps | ended as | swing | mean of the first tenth | of the last | drift |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
@@ -194,12 +194,12 @@ def _gradients(found: Found, folder: Path) -> str:
     _save(figure, right, folder / "stability-gradients.png", outside=True)
     lines += [
         "",
-        "Where a slope is rough: the slope of scenes at points of a line of sheets. *Spread* is the deviation of "
+        "How rough slopes are: the slope is computed at points of a line of sheets. *Spread* is the deviation of "
         "the slopes from a parabola, over their mean size; *against differences* how far they are from the "
         "differences of the values between these points (median). Cups are smooth, refined or not. A box that is "
-        "refined in flight is not: new nodes near the mold begin at rest or on it, what lies between is squeezed, "
-        "and a membrane that is squeezed buckles at a rate of thousands a second, which makes derivatives useless;"
-        " on a uniform mesh no element of that box buckles. So search on a uniform mesh, as the study "
+        "refined in flight is not: new nodes near the mold begin at rest or on it, elements between them are "
+        "compressed, and a compressed membrane buckles at a rate of thousands per second, which makes derivatives "
+        "useless; on a uniform mesh no element of that box buckles. So search on a uniform mesh, as the study "
         "`box-insert-field` does, and refine what was found. A sheet that a pressure pushes back or pulls loses its"
         " tension and buckles on any mesh: its gradient grows by orders of magnitude along the run (left).\n",
         "| scene | spread | against differences |",
@@ -213,7 +213,7 @@ def _gradients(found: Found, folder: Path) -> str:
 def _float32(found: Found, _: Path) -> str:
     lines = [
         "## float32\n",
-        "Its walls beside those of float64.\n",
+        "The walls of float32 compared with those of float64.\n",
         "| scene | wall, rms | largest | mean wall | elements | time over float64's |",
         "|---|---|---|---|---|---|",
     ]
@@ -231,7 +231,7 @@ def _float32(found: Found, _: Path) -> str:
     lines += [
         "",
         f"Of {len(rows)} random scenes that end well in float64 the walls differ by {_percent(np.median(rms))} rms "
-        f"(median), {_percent(np.percentile(rms, 90))} (nine in ten) and {_percent(rms.max())} (worst). "
+        f"(median), {_percent(np.percentile(rms, 90))} (90th percentile) and {_percent(rms.max())} (worst). "
         f"{len(stopped)} stop with a status in float32 ({_seeds(stopped)}); {len(bad)} differ by more than a per "
         f"cent or have another mesh ({_seeds(bad)}).\n",
     ]
@@ -282,7 +282,7 @@ def _pinch(found: Found, folder: Path) -> str:
         "\n## Mold halves that pinch a tube\n",
         f"{found['count']} random scenes: half a tube, and half a bottle with a handle whose land closes on the "
         "parting plane; or a whole tube between two halves. Tubes differ in radius, wall, length and place, bottles in "
-        "width, neck and hole; they are turned in the parting plane, and close at 0.05 to 2 m/s. Wanted: no node "
+        "width, neck and hole; they are turned in the parting plane, and close at 0.05 to 2 m/s. Required: no node "
         "beyond plane or land by more than 1e-9 of the size, the film's volume kept to 1e-3, and the energy balance to "
         f"one per cent of what air and tools do.{bad}\n",
         "| how they ended | deepest node beyond plane or land [m] | change of the film's volume | energy balance, "
