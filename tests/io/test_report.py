@@ -607,6 +607,21 @@ def test_a_browser_draws_it_and_a_click_tells_the_wall(page: browser.Browser, fo
     assert page.complaints == [] and page.requests == [(folder / "report.html").as_uri()]
 
 
+def test_a_click_beyond_the_part_says_so(page: browser.Browser, folder: Path, tmp_path: Path) -> None:
+    """It said that the wall was a dash in mm."""
+    cut = shutil.copytree(folder, tmp_path / "cut")
+    whole = meshes.read_mesh(cut / "final.vtu")
+    cells = whole.cell_fields | {"part": (RADIUS[SHEET.triangles].mean(1) < 0.9).astype(float)}
+    meshes.write_vtu(cut / "final.vtu", whole.positions, whole.triangles, whole.fields, cells)
+    box = _visit(page, report.write_report(cut))
+    said = set()
+    for down in np.linspace(0.2, 0.8, 25):
+        read = _click(page, box, 0.5, down)
+        if read and cells["part"][int(read["element"])] == 0.0:
+            said.add(page.value("document.querySelector('#reading dd').innerText"))
+    assert said == {"not part of the product"}
+
+
 def _visible_elements(folder: Path, width: int, height: int) -> NDArray[np.int64]:
     """Elements that the pixels (height, width) of the first view show, -1 none: by a camera and raster of ours."""
     part = stored_results.read_results(folder).part

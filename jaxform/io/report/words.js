@@ -9,7 +9,7 @@ function wordsOf({ reading, part, beside }) {
     warm = reading.nodal("temperature");
   const places = (place) => `${place.map((x) => millimetres(x, 4)).join(", ")} mm`;
   const found = [
-    ["wall", `${short(MM * reading.thickness)} mm`],
+    ["wall", wallWords(reading.thickness)],
     ["stretches", `${short(first)} × ${short(second)}`],
     ["area stretch", short(first * second)],
     ["place in the part (x, y, z)", places(reading.formed)],
@@ -21,13 +21,18 @@ function wordsOf({ reading, part, beside }) {
   if (beside) found.unshift(["part", part.label]);
   if (Number.isFinite(initial)) found.push(["initial thickness", `${short(MM * initial)} mm`]);
   if (Number.isFinite(warm)) found.push(["temperature of the sheet", `${short(warm)} °C`]);
-  if (beside) found.push([`wall there, ${beside.label}`, `${short(MM * beside.thickness)} mm`]);
+  if (beside) found.push([`wall there, ${beside.label}`, wallWords(beside.thickness)]);
   // Elements of a frame with a mesh of its own are in another order than in its file.
   const named = part.label !== "frame" || part.mesh === 0;
   return [
     ...found,
     named ? ["element in the file", `${reading.element}, level ${reading.level}`] : ["level", `${reading.level}`],
   ];
+}
+
+// A wall thickness [m] in mm; NaN of the sheet that is no part.
+function wallWords(thickness) {
+  return Number.isFinite(thickness) ? `${short(MM * thickness)} mm` : "not part of the product";
 }
 
 // What is shown of a quantity at a place, for the colour bar; NaN where there is nothing.
