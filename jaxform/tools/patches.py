@@ -146,7 +146,8 @@ def find_side_holes(found: CellGrid) -> list[tuple[float, Array]]:
     Returns:
         Of each hole the length of the longest side of its box [m], and its middle (3,) [m].
     """
-    leaks = found.leaks
+    # Columns without a cell of the mold lie on its rim, by which less than half of them is covered: they are no hole.
+    leaks = found.leaks & found.wall.any(axis=2)[..., None]
     part, count = label_cells(leaks, corners=True)
     sides = _open_sides(found, part, count)
     edge = _edge(found.seen)

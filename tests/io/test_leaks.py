@@ -10,6 +10,7 @@ import pytest
 
 import jaxform
 from benchmarks.strangers import file_molds
+from jaxform import molds, shapes
 from jaxform.cli import command, simulate_command
 from jaxform.io import files
 from jaxform.io.scene_checks import warn_of_side_holes
@@ -85,6 +86,27 @@ def test_a_whole_box_and_one_at_a_distance_have_none(tmp_path: Path) -> None:
     # The sheet is 5 mm before the rim, open all round.
     path.write_text(path.read_text().replace("0.055, 0.04]", "0.055, 0.045]"))
     assert _complaints(path) == []
+
+
+@pytest.mark.parametrize(("radius", "windows"), [(0.06, False), (0.05, False), (0.06, True)])
+def test_a_sheet_as_wide_as_the_flange_is_blown_through_windows_alone(radius: float, windows: bool) -> None:
+    """Cells on a flange's rim, of which it has less than half, are no hole."""
+    shape = molds.revolved(profile=[[0.0, 0.072], [0.031, 0.072], [0.0375, 0.0], [0.06, 0.0]], segments=96)
+    middle = shape.vertices[shape.triangles].mean(1)
+    cut = (np.abs(middle[:, 0]) > 0.9 * np.hypot(*middle[:, :2].T)) & (0.01 < middle[:, 2]) & (middle[:, 2] < 0.07)
+    sheet = shapes.disc(radius=radius, elements=300, symmetry="quarter")
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1e-3, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_pressure([0.0, 0.1], [0.0, 0.2]),
+        solver=jaxform.make_solver(end_time=0.12, damping=100.0),
+        mold=jaxform.make_mold(shape.vertices, shape.triangles[~cut] if windows else shape.triangles),
+    )
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        warn_of_side_holes(scene)
+    said = [str(one.message) for one in told if "side wall" in str(one.message)]
+    assert len(said) == windows and all("2 holes in side walls" in words for words in said)
 
 
 def test_the_command_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
