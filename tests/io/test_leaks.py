@@ -106,7 +106,7 @@ def test_a_sheet_as_wide_as_the_flange_is_blown_through_windows_alone(radius: fl
         warnings.simplefilter("always")
         warn_of_side_holes(scene)
     said = [str(one.message) for one in told if "side wall" in str(one.message)]
-    assert len(said) == windows and all("2 holes in side walls" in words for words in said)
+    assert len(said) == windows and all("the largest 0.071 m wide" in words for words in said)
 
 
 def test_the_command_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
