@@ -125,6 +125,8 @@ def test_the_command_goes_on_after_a_kill(
     again = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
     scenes.assert_same(again["objective"], whole["objective"])
     facts = json.loads((out / "design.json").read_text())
+    described = (Path(__file__).parents[2] / "docs" / "reference" / "summary.md").read_text()
+    assert not [key for key in facts if f"`{key}`" not in described]
     assert facts["after"]["objective"] == again["objective"].min() and facts["gradient_error"] is None
     np.testing.assert_allclose(
         float(jaxform.run(files.load(out / "best.toml")).mass), facts["after"]["mass"], rtol=1e-9
