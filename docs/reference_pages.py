@@ -36,7 +36,7 @@ numbers out of range are refused in one line that names file, key, value and hin
 """
 _STUDY_INTRODUCTION = """# Study file
 
-A study says what may change, what is wanted, and how it is searched for.
+A study names the variables, the objective, and the method of the search.
 """
 
 
@@ -132,7 +132,8 @@ def _kind(annotation: Any) -> str:
         kinds = [_kind(part) for part in get_args(annotation) if part is not type(None)]
         return " or ".join(dict.fromkeys(kinds))
     if origin is list:
-        return re.sub(r"\blist of number\b", "numbers", f"list of {_kind(get_args(annotation)[0])}")
+        words = re.sub(r"\blist of number\b", "numbers", f"list of {_kind(get_args(annotation)[0])}")
+        return re.sub(r"\blist of (table|text)\b", r"list of \1s", words)
     return "table"
 
 

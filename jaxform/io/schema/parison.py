@@ -212,9 +212,9 @@ class Outline(_Sheet):
 
     Attributes:
         shape: The kind of sheet.
-        polygon: Its corners x, y [m] in z = 0, in either order; or
+        polygon: Its corners x, y [m] in z = 0, in either order; this or `mold_rim`.
         mold_rim: True if it is the opening of the mold, in the plane of its rim.
-        element_size: Side of a triangle [m], less where the planform is narrow; or
+        element_size: Side of a triangle [m], less where the planform is narrow; this or `elements`.
         elements: Approximate number of triangles.
         planes: Symmetry planes: `x` where the polygon is cut at x = 0.
         thickness: Initial thickness [m].

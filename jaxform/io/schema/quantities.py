@@ -68,12 +68,12 @@ class NumberProfile(Table):
 
 
 class TargetProfile(Table):
-    """A wanted thickness, piecewise linear along a place in the initial sheet or in the formed part.
+    """A target thickness, piecewise linear along a place in the initial sheet or in the formed part.
 
     Attributes:
         along: Place in the initial sheet (`initial-...`) or in the formed part.
         at: Knots [m], increasing.
-        value: Wanted thickness [m], one per knot.
+        value: Target thickness [m], one per knot.
     """
 
     along: Literal["initial-radius", "initial-x", "initial-y", "initial-z", "radius", "x", "y", "z"]

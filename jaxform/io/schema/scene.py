@@ -238,7 +238,7 @@ class RefinementTable(Table):
         proximity_factor: Distance that counts as near, in units of the element's longest side.
         mass_scaling_levels: Number of the finest levels with mass scaling, so that they do not shorten the step.
         at_rest: True if new nodes close to the mold start at rest.
-        jump: Largest ratio, less 1, of neighbours' thicknesses; unlimited without it.
+        jump: Largest relative difference of neighbours' thicknesses, their ratio less 1; unlimited without it.
         elements: Initial capacity for elements; the run increases it as needed.
     """
 
@@ -312,7 +312,7 @@ class CoolingTable(Table):
 
 
 class Output(Table):
-    """Output beyond the result; `reference` is an exact solution to dot over the thickness picture.
+    """Output beyond the result; `reference` is an exact solution that is drawn over the thickness picture.
 
     Attributes:
         frames: Number of times at which VTU files are written, besides the last.

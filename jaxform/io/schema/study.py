@@ -159,8 +159,9 @@ class TargetTable(ObjectiveTable):
 
     Attributes:
         kind: The kind of objective.
-        thickness: The wanted wall [m].
-        limit: Relative deviation (rms) to be kept, instead of the least one.
+        thickness: The target wall [m].
+        limit: Largest relative deviation (rms), a constraint beside another objective; without it, the deviation is
+            minimized.
     """
 
     kind: Literal["target"]
@@ -198,7 +199,7 @@ class FormingTimeTable(ObjectiveTable):
 
     Attributes:
         kind: The kind of objective.
-        power: Power of the mean of contact times: the higher, the more the last contact counts.
+        power: Exponent of the power mean of the contact times: the higher, the more the last contact counts.
     """
 
     kind: Literal["forming-time"]
