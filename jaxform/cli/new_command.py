@@ -25,6 +25,7 @@ _LARGE = 3.0  # of a part in metres, which may be one of a few inches
 _DRAWN = 0.75  # times the width, above which a plug is the rule
 _DEEP = 1.5  # times the width, above which hardly anything is thermoformed
 _NARROW = 0.05  # of the sheet's width, below which a plug is hardly meant to be as it is
+_FOLDING = 2.0  # sides of an element: ribs and pins as narrow as that fold the sheet, whether nodes meet them or not
 _SHORT = 0.99  # of a plug's usual way: below it the mold is in its way
 
 
@@ -74,8 +75,8 @@ def start(arguments: argparse.Namespace) -> int:
     _open_folder(arguments)
 
     def hold_ribs(made: Draft, text: str) -> Draft:
-        thin = not made.levels and _has_thin_features(text, arguments.folder)
-        return replace(made, edge_contact=True) if thin else made
+        slender, thin = _has_thin_features(text, arguments.folder)
+        return replace(made, edge_contact=thin and not made.levels, self_contact=made.self_contact or slender)
 
     files, made = scene_text.write(arguments.folder, paths, made, hold_ribs)
     _warn(made)
@@ -84,8 +85,10 @@ def start(arguments: argparse.Namespace) -> int:
     return _say_next(arguments, files, say)
 
 
-def _has_thin_features(text: str, folder: Path) -> bool:
-    """True if the mold of a scene has sharp edges, and a rib or pin that may pass between the nodes of its sheet.
+def _has_thin_features(text: str, folder: Path) -> tuple[bool, bool]:
+    """True if the mold of a scene has a rib or pin that folds its sheet; and if it may also pass between its nodes.
+
+    Then the mold has sharp edges, at which elements can be held.
 
     Args:
         text: The scene's file.
@@ -99,11 +102,12 @@ def _has_thin_features(text: str, folder: Path) -> bool:
         try:
             scene = files.build_unchecked(files.validate_scene(tomllib.loads(text), "scene.toml", folder.resolve()))
         except InputError:  # `check` says what it is
-            return False
-    mold = scene.mold
+            return False, False
+    mold, side = scene.mold, scene_checks.finest_side(scene)
     if mold is None or not topology.sharp_edges(np.asarray(mold.vertices), np.asarray(mold.triangles)).size:
-        return False
-    return scene_checks.thin_feature(scene, scene_checks.finest_side(scene)) is not None
+        return False, False
+    thin = scene_checks.thin_feature(scene, side) is not None
+    return thin or scene_checks.thin_feature(scene, _FOLDING * side) is not None, thin
 
 
 def _start_bottle(arguments: argparse.Namespace, say: Callable[[str], None]) -> int:

@@ -229,6 +229,7 @@ class Draft:
         plug: The plug that pushes the sheet first; None without one.
         doubt: Alternative kind of the mold; empty where that is clear.
         edge_contact: True where the mold has ribs thinner than elements, at whose edges sides are held.
+        self_contact: True where the mold has ribs or pins at which the sheet folds.
     """
 
     scale: float
@@ -255,6 +256,7 @@ class Draft:
     plug: Plug | None = None
     doubt: str = ""
     edge_contact: bool = False
+    self_contact: bool = False
 
     @property
     def pressure(self) -> float:

@@ -379,7 +379,7 @@ def _solver(made: Draft) -> list[str]:
         # Over ribs of a cavity the sheet folds as it does over a male mold.
         *(
             ["self_contact = true  # where the sheet folds, both films weld (a web)"]
-            * (made.edge_contact or made.drape is not None)
+            * (made.self_contact or made.drape is not None)
         ),
     ]
 

@@ -146,26 +146,28 @@ def test_a_hole_is_closed_and_what_is_given_counts(tmp_path, capfd):
 def test_a_rib_thinner_than_elements_is_met_by_edge_contact(tmp_path, capfd, monkeypatch):
     """A ring 0.8 mm wide and 18 mm high on the dish's bottom: sides are held at its edges, and nothing warns.
 
-    Each file is written once, though the scene is built from its mold before it is written.
+    At one 3 mm wide no side needs to be held, but the sheet folds at it, too. Each file is written once, though the
+    scene is built from its mold before it is written.
     """
     copied, copy = [], shutil.copyfile
     monkeypatch.setattr(shutil, "copyfile", lambda source, target: copied.append(target) or copy(source, target))
-    rib = [[0.0301, 0.03], [0.0301, 0.012], [0.0309, 0.012], [0.0309, 0.03]]
-    for name, ring in (("smooth", []), ("ribbed", rib)):
-        shape = molds.revolved(profile=[[0.0, 0.03], *ring, [0.06, 0.03], [0.08, 0.0], [0.1, 0.0]], segments=60)
+    for name, width in (("smooth", 0.0), ("wide", 3e-3), ("ribbed", 8e-4)):
+        low, high, ring = 0.0305 - 0.5 * width, 0.0305 + 0.5 * width, name == "ribbed"
+        rib = [[low, 0.03], [low, 0.012], [high, 0.012], [high, 0.03]] if width else []
+        shape = molds.revolved(profile=[[0.0, 0.03], *rib, [0.06, 0.03], [0.08, 0.0], [0.1, 0.0]], segments=60)
         mold = write(tmp_path / f"{name}.stl", Mesh(shape.vertices, shape.triangles), 1.0)
         folder = tmp_path / name
         assert command.main(["new", str(folder), "--mold", str(mold)]) == 0
         said = capfd.readouterr()
         text = (folder / "scene.toml").read_text()
-        assert ("edge_contact = true" in text) is bool(ring)
-        assert ("self_contact = true" in text) is bool(ring), "the sheet folds where it hangs over ribs"
-        assert ("a rib or pin thinner than elements" in said.out) is bool(ring)
+        assert ("edge_contact = true" in text) is ring
+        assert ("self_contact = true" in text) is (width > 0.0), "the sheet folds where it hangs over ribs"
+        assert ("a rib or pin thinner than elements" in said.out) is ring
         assert said.err == ""
         assert command.main(["check", str(folder / "scene.toml")]) == 0
         said = capfd.readouterr()
-        assert said.err == "" and ("as long with sides at sharp edges" in said.out) is bool(ring)
-    assert len(copied) == 2
+        assert said.err == "" and ("as long with sides at sharp edges" in said.out) is ring
+    assert len(copied) == 3
 
 
 def test_a_folder_with_files_is_kept(tmp_path, capfd):
