@@ -161,8 +161,8 @@ def draw_part(path: str | Path, part: PartPicture) -> None:
     """Draws a picture of a formed part as PNG."""
     figure = new_figure(16, 7, part.title)
     colors = draw(figure.add_axes((0.0, 0.04, 0.47, 0.84), projection="3d"), part.view)
-    draw_bar(figure, colors, figure.add_axes((0.488, 0.2, 0.012, 0.5)), "wall thickness [mm]", [part.wall])
-    axes = figure.add_axes((0.58, 0.12, 0.39, 0.74))
+    draw_bar(figure, colors, figure.add_axes((0.482, 0.2, 0.012, 0.5)), "wall thickness [mm]", [part.wall])
+    axes = figure.add_axes((0.6, 0.12, 0.38, 0.74))
     for across, up, style in part.lines:
         axes.plot(across, up, **style)
     axes.set(xlabel=part.across, ylabel="wall thickness [mm]")

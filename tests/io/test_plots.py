@@ -383,6 +383,20 @@ def test_labels_of_tall_parts_are_in_the_picture(rise: float) -> None:
     assert all(artist.get_visible() for artist in axes.artists)
 
 
+def test_the_colour_bar_and_the_diagram_have_room_for_their_labels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Labels of both lay over one another where numbers of the diagram have three decimals."""
+    drawn: list[Any] = []
+    monkeypatch.setattr(canvas, "save", lambda figure, _: drawn.append(figure))
+    part = plots.part_picture(*_over_a_plate(0.0, 1.0, 0.3))
+    line = (np.linspace(0.0, 130.0, 9), np.linspace(0.0, 0.2, 9), {"label": "all nodes"})
+    canvas.draw_part(tmp_path / "part.png", part._replace(lines=[line]))
+    drawn[0].draw_without_rendering()
+    left, middle, right = (axes.get_tightbbox() for axes in drawn[0].axes)
+    assert left.x1 < middle.x0 and middle.x1 + 10.0 < right.x0 and right.x1 < drawn[0].bbox.x1
+
+
 @pytest.mark.parametrize("symmetry", ["none", "half", "quarter"])
 @pytest.mark.parametrize("cap", [False, True])
 def test_a_tube_or_preform_is_unrolled_for_a_map(symmetry: Any, cap: bool) -> None:
