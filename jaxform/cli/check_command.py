@@ -100,7 +100,8 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
     tables = [document.model.mold, *document.model.tool]
     if any(table is not None and table.land is not None for table in tables):
         keeps = document.model.part is not None and document.model.part.flash
-        yield f"flash on the land of the mold: {'counts as part' if keeps else 'no part, its mass in summary.json'}"
+        words = "counts as part" if keeps else "is not part of the product; its mass is in summary.json"
+        yield f"flash on the land of the mold {words}"
     yield from _run_lines(scene, store)
     skipped = {
         "contact (no mold)": not scene.surfaces,

@@ -119,7 +119,7 @@ def _target(
             return (
                 scaled,
                 mold_pose.place,
-                [f"{arguments.onto} {words}: placed as [mold] says; --pose scene says otherwise"],
+                [f"{arguments.onto} {words}: it is placed as [mold] says (--pose scene overrides this)"],
             )
     return mapping.read_target(path, given), lambda places: places, []
 
