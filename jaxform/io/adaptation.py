@@ -45,6 +45,7 @@ _STOPS = (
 """Statuses of runs whose wall does not say where elements should be; an unfilled corner is none of them."""
 _FITS, _MOVES = 3, 2  # runs after which sides that cut are divided, and nodes are moved onto edges, at most
 _FITTED = 0.02  # of an element, which no node is moved by for the last time
+_BETTER = 0.75  # times the estimated error before: a mesh with that is taken though it is cut deeper
 _DOUBTFUL, _GOOD = 0.10, 0.05  # estimated errors of the elements' wall: of one to warn of, and of one that will do
 _ELEMENTS = 2500  # of a new mesh by default, where the first has no more
 _RECENT = 8  # adapted meshes that a process keeps, which a study and its best scene ask for again
@@ -180,7 +181,8 @@ def _move_to_edges(
 
     By how much is seen in a run. The stretch beside an edge changes with the move, so another run shows what is left:
     where no element cuts too deep, the mesh stays; where one cuts deeper than before, the mesh before is taken, and
-    from then on, and after two moves in any case, sides that cut get new nodes, but no node is moved.
+    from then on, and after two moves in any case, sides that cut get new nodes, but no node is moved. A mesh whose
+    wall is much less in error is taken even so: sides that are held over a ridge do not cut it, and ruin the wall.
 
     Args:
         document: The scene.
@@ -190,14 +192,14 @@ def _move_to_edges(
         note: Is called with the facts of each run.
     """
     passes, most = wanted
-    best, sides, least, moving = sheet, (np.zeros((0, 2), np.int64), np.zeros(0)), np.inf, True
+    best, sides, least, moving = sheet, (np.zeros((0, 2), np.int64), np.zeros(0)), (np.inf, np.inf), True
     for fit in range(_FITS + 1):
         scene, result = _run_pass(document, sheet, store, passes + 1 + fit)
         depth, corner_share = measure_cuts(result, scene)
         ends, share, worst = size_field.cut_sides(scene, result, depth, corner_share)
-        facts = len(sheet.triangles), size_field.mean_error(scene, result)
-        if worst <= max(least, 1.0):
-            best, sides, least = sheet, (ends, share), worst
+        facts = len(sheet.triangles), (error := size_field.mean_error(scene, result))
+        if worst <= max(least[0], 1.0) or error < _BETTER * least[1]:
+            best, sides, least = sheet, (ends, share), (worst, error)
         elif not moving:
             note(*facts, 0, 0.0, 0)
             return best

@@ -158,25 +158,29 @@ def test_nodes_are_moved_where_tools_have_edges(
 
 
 @pytest.mark.parametrize(
-    ("worst", "taken", "runs"),
+    ("worst", "taken", "runs", "errors"),
     [
-        ((3.0, 0.0), "moved", 2),  # nothing cuts after the first move: no second one
-        ((3.0, 4.0, 0.0), "divided", 3),  # deeper than before: the mesh before, with new nodes
-        ((3.0, 4.0, 2.0, 1.5), "divided thrice", 4),
-        ((3.0, 4.0, 5.0), "first", 3),  # deeper with new nodes, too: without them
-        ((3.0, 2.0, 2.5, 0.0), "moved, divided", 4),
-        ((3.0, 2.0, 1.5, 1.2), "moved twice, divided twice", 4),  # each move makes some elements lower: no more of them
+        ((3.0, 0.0), "moved", 2, ()),  # nothing cuts after the first move: no second one
+        ((3.0, 4.0, 0.0), "divided", 3, ()),  # deeper than before: the mesh before, with new nodes
+        ((3.0, 4.0, 2.0, 1.5), "divided thrice", 4, ()),
+        ((3.0, 4.0, 5.0), "first", 3, ()),  # deeper with new nodes, too: without them
+        ((3.0, 2.0, 2.5, 0.0), "moved, divided", 4, ()),
+        # Each move makes some elements lower: no more of them.
+        ((3.0, 2.0, 1.5, 1.2), "moved twice, divided twice", 4, ()),
+        # Deeper, but the wall is much better, or hardly.
+        ((3.0, 4.0, 0.0), "moved twice", 3, (0.06, 0.03, 0.03)),
+        ((3.0, 4.0, 0.0), "divided", 3, (0.06, 0.05, 0.05)),
     ],
 )
 def test_moves_that_make_a_cut_deeper_are_taken_back(
-    monkeypatch: pytest.MonkeyPatch, worst: tuple[float, ...], taken: str, runs: int
+    monkeypatch: pytest.MonkeyPatch, worst: tuple[float, ...], taken: str, runs: int, errors: tuple[float, ...]
 ) -> None:
     triangles = np.array([[0, 1, 2]], np.int32)
     first = Sheet(np.eye(3), triangles, np.zeros(3, bool), np.zeros((3, 3), bool))
     scene = SimpleNamespace(
         tables=SimpleNamespace(sheet=SimpleNamespace(area=np.ones(1))), parison=SimpleNamespace(triangles=triangles)
     )
-    left, told = list(worst), list[tuple[float, ...]]()
+    left, left_errors, told = list(worst), list(errors or [0.1] * len(worst)), list[tuple[float, ...]]()
     some = np.array([[0, 1]]), np.array([0.5])
     none = np.zeros((0, 2), np.int64), np.zeros(0)
 
@@ -194,14 +198,14 @@ def test_moves_that_make_a_cut_deeper_are_taken_back(
     monkeypatch.setattr(adaptation, "_run_pass", lambda *_: (scene, None))
     monkeypatch.setattr(adaptation, "measure_cuts", lambda *_: (np.zeros((1, 1)), np.zeros((1, 1, 3))))
     monkeypatch.setattr(adaptation.size_field, "cut_sides", cut)
-    monkeypatch.setattr(adaptation.size_field, "mean_error", lambda *_: 0.1)
+    monkeypatch.setattr(adaptation.size_field, "mean_error", lambda *_: left_errors.pop(0))
     monkeypatch.setattr(adaptation.size_field, "places_at_edges", lambda *_: ())
     monkeypatch.setattr(adaptation.mesher, "move_nodes", move)
     monkeypatch.setattr(adaptation.mesher, "divide_sides", divide)
     document: Any = None
     made = adaptation._move_to_edges(document, first, None, (1, 40), lambda *run: told.append(run))
     by = {"first": 0.0, "moved": 1.0, "divided": -10.0, "divided thrice": -30.0}
-    by |= {"moved, divided": -9.0, "moved twice, divided twice": -18.0}
+    by |= {"moved, divided": -9.0, "moved twice": 2.0, "moved twice, divided twice": -18.0}
     np.testing.assert_array_equal(made.positions[:3], np.eye(3) + by[taken])
     assert len(told) == runs
 
