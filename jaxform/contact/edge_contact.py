@@ -50,6 +50,9 @@ _ROUNDINGS = 64  # that the gaps are accurate to, in float32
 _SOFTNESS = 3e-5  # of its ends' own way in the step in which a side is first held: more may be held than can be
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
 _OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
+_FADE = (
+    100.0  # steps, of the length of that in which it was first held, in which the force of a side let go falls to 1/e
+)
 _CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals, besides a step's way
 _EDGE_GROUP = 16  # edges for which near sides are found together
 _WIDER = 1.25  # times the spheres that nodes are expected to stay in
@@ -494,7 +497,7 @@ def hold_sides(
     weights, scatter = (1.0 - held.share, held.share), differentiable or not on_cpu()
     accelerated, length = steps
     active = (held.step < number) & (length > 0.0)
-    free, moves = _mobilities(held, active, compliance, immovable)
+    free, released, moves = _mobilities(held, active, compliance, immovable)
     mobility = sum(w * move for w, move in zip(weights, moves, strict=True))
 
     # A force gives a push by both steps. A side gives as much way to it whatever they are: a spring that hardened with
@@ -507,7 +510,9 @@ def hold_sides(
         nodes = _add_at_ends(jnp.zeros_like(compliance), [move * push for move in moves], held, scatter)
         return jnp.where(free, _values_at_points(nodes, held) + give * push, push)
 
-    gap = jnp.where(free, held.point + carrier[0] - _values_at_points(positions, held), 0.0)
+    let_go = jnp.where(released, per_force * _fade(held, length), 0.0)
+    ahead = _add_at_ends(positions, [move * let_go for move in moves], held, scatter)
+    gap = jnp.where(free, held.point + carrier[0] - _values_at_points(ahead, held), 0.0)
     inverse = jax.lax.stop_gradient(jnp.where(free, 1.0 / jnp.where(free, mobility, 1.0), 1.0))
     solve = functools.partial(_conjugate_gradients, inverse=inverse)
     if differentiable:
@@ -515,6 +520,7 @@ def hold_sides(
     else:
         # The forces of the last step are nearly those of this one.
         push = solve(displace, gap, start=jnp.where(free, per_force * held.force, gap))
+    push = push + let_go
     impulse, speed = push / jnp.where(length > 0.0, length, 1.0), carrier[1]
     new = _add_at_ends(velocities, [move * impulse for move in moves], held, scatter)
     parts = [jnp.where(move > 0.0, weight, 0.0) for weight, move in zip(weights, moves, strict=True)]
@@ -529,24 +535,33 @@ def hold_sides(
         loss=-jnp.sum(impulse * (0.5 * (earlier + later) - carried)),
         work=jnp.sum(impulse * carried, axis=0),
         damped=0.25 * jnp.sum(impulse * (earlier + flown)),
-        force=jax.lax.stop_gradient(jnp.where(free, push, 0.0) / per_force),
+        force=jnp.where(length > 0.0, push / per_force, held.force),
     )
 
 
 def _mobilities(
     held: HeldSides, active: jax.Array, compliance: jax.Array, immovable: jax.Array
-) -> tuple[jax.Array, list[jax.Array]]:
-    """The components of held points that can be moved (3, room), and how far either end goes by a push there [1/kg].
+) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
+    """The components of held points that are held, and that are let go (3, room), and the ends' mobilities.
 
-    A side with one end in contact is no longer held where most of it hangs over the edge.
+    The mobilities are how far either end goes by a push there [1/kg]. A side with one end in contact is no longer held
+    where most of it hangs over the edge.
     """
     weights = 1.0 - held.share, held.share
     own = [jnp.where(gather(immovable, end), 0.0, jnp.stack(gather_columns(compliance, end))) for end in held.ends]
     mobile = [jnp.any(c > 0.0, axis=0) for c in own]
     hangs = jnp.where(mobile[0], jnp.where(mobile[1], 0.0, weights[1]), weights[0])
     moves = [w * c for w, c in zip(weights, own, strict=True)]
-    free = active & (hangs <= _OVERHANG) & (weights[0] * moves[0] + weights[1] * moves[1] > 0.0)
-    return free, [jnp.where(free, move, 0.0) for move in moves]
+    mobile_points = active & (weights[0] * moves[0] + weights[1] * moves[1] > 0.0)
+    free, released = mobile_points & (hangs <= _OVERHANG), mobile_points & (hangs > _OVERHANG)
+    return free, released, [jnp.where(mobile_points, move, 0.0) for move in moves]
+
+
+def _fade(held: HeldSides, length: jax.Array) -> jax.Array:
+    """The holding forces (3, room) [N] of sides that are let go, in a step of a length [s], from those before it."""
+    soft = held.softness > 0.0
+    rate = jnp.where(soft, jnp.sqrt(_SOFTNESS / jnp.where(soft, held.softness, 1.0)) / _FADE, jnp.inf)
+    return jnp.exp(-jnp.where(length > 0.0, length, 1.0) * rate) * held.force
 
 
 class _Pushes(NamedTuple):

@@ -1,6 +1,7 @@
 """Sides of elements at sharp edges of tools: held where they would pass between two nodes, against exact solutions."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -322,6 +323,42 @@ def test_a_side_with_a_node_in_contact_is_held_where_less_than_half_of_it_hangs_
         *flown, known, compliance, stuck, (jnp.ones(()), jnp.ones(())), (at_rest, at_rest), number, differentiable=True
     )
     np.testing.assert_allclose(moved.positions[2], [0.0, 0.0 if overhang < 0.5 else -0.1], atol=1e-6)
+
+
+def test_the_force_of_a_side_that_is_let_go_fades_over_many_steps() -> None:
+    """A sheet was thrown onto the mold, and missed it at first, when a row of sides lost their forces in one step.
+
+    A bar has one end of 1 kg in the air and the other in contact, and most of it hangs over the edge.
+    """
+    held = no_held_sides(1, jnp.dtype(float))
+    first = {"ends": jnp.array([[0], [1]]), "share": jnp.array([0.4]), "step": jnp.zeros(1, jnp.int32)}
+    softness, force = jnp.full(1, edge_contact._SOFTNESS), jnp.array([[0.0], [0.0], [2.0]])
+    held = dataclasses.replace(held, **first, softness=softness, count=jnp.int32(1))
+    stuck, still = jnp.array([True, False]), jnp.zeros((3, 1))
+    masses = jnp.where(stuck, 0.0, jnp.ones((3, 2))), stuck
+
+    @functools.partial(jax.jit, static_argnames="differentiable")
+    def hold(force: jax.Array, length: jax.Array | float, *, differentiable: bool = False) -> edge_contact.HeldNodes:
+        places: Any = jnp.zeros((3, 2)) if differentiable else vector(jnp.zeros((3, 2)))
+        flown, steps = (places, jnp.zeros((3, 2)), [still, still]), (jnp.ones(()), jnp.asarray(length))
+        given = dataclasses.replace(held, force=force), *masses, steps, (still, still), jnp.int32(1)
+        return edge_contact.hold_sides(*flown, *given, differentiable=differentiable)
+
+    moved = hold(force, 1.0)
+    np.testing.assert_allclose(moved.force, np.exp(-0.01) * np.asarray(force), rtol=1e-12)
+    np.testing.assert_allclose(moved.velocities, [[0, 0], [0, 0], [0, 0.4 * 2.0 * np.exp(-0.01)]], rtol=1e-12)
+    kinetic = 0.5 * float(jnp.sum(jnp.square(moved.velocities)))
+    np.testing.assert_allclose(float(moved.loss), -kinetic, rtol=1e-12)
+    for length in (2.0, 0.5):
+        shorter = hold(force, length).force
+        np.testing.assert_allclose(shorter, np.exp(-0.01 * length) * np.asarray(force), rtol=1e-12)
+    np.testing.assert_allclose(hold(force, 0.0).force, force, rtol=0)
+
+    # Derivatives follow the forces, from step to step.
+    def height(force: jax.Array) -> jax.Array:
+        return hold(hold(force, 1.0, differentiable=True).force, 1.0, differentiable=True).positions[2, 1]
+
+    np.testing.assert_allclose(jax.grad(height)(force).ravel(), [0.0, 0.0, 0.4 * np.exp(-0.02)], rtol=1e-12)
 
 
 def test_a_side_parallel_to_an_edge_is_not_held_away_from_where_they_meet() -> None:
