@@ -67,6 +67,8 @@ class Design:
         multiplier: The weighted sum of the constraints' multipliers; None without constraints, or before
             a round has ended.
         updates: Updates of the fixed point before the search.
+        simulations: Cost of all of the search, checks of its gradient included, in simulations without gradient.
+        seconds: Its time [s].
         starts: A row for each of several starts: its number from 1, objective, status, simulations, and seconds.
         first_row: Row of the study's own first design; None where it is the first of the history.
     """
@@ -88,6 +90,8 @@ class Design:
     best_row: Row
     multiplier: float | None
     updates: int
+    simulations: float
+    seconds: float
     starts: list[Row] = field(default_factory=list)
     first_row: Row | None = None
     secants: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -122,8 +126,8 @@ class Design:
             "iterations": self.history[-1]["iteration"],
             "warm_start": self.updates,
             "evaluations": len(self.history),
-            "simulations": self.history[-1]["simulations"],
-            "seconds": self.history[-1]["seconds"],
+            "simulations": self.simulations,
+            "seconds": self.seconds,
             "price": price(self.history),
             "warnings": self.warnings,
         } | ({"starts": self.starts} if self.starts else {})
@@ -230,6 +234,8 @@ def solve_once(
         best_row=best.row,
         multiplier=search.multiplier,
         updates=search.updates,
+        simulations=search.simulations,
+        seconds=search.seconds,
         secants=search.secants,
     )
 

@@ -138,10 +138,8 @@ def _row(number: int, design: Design | None, outcome: Outcome) -> Row:
     """The row of a start."""
     if design is None:
         return dict(zip(COLUMNS, (number, "", outcome.status, "", outcome.seconds), strict=True))
-    last = design.history[-1]
-    return dict(
-        zip(COLUMNS, (number, design.objective, design.status, last["simulations"], last["seconds"]), strict=True)
-    )
+    facts = (number, design.objective, design.status, design.simulations, design.seconds)
+    return dict(zip(COLUMNS, facts, strict=True))
 
 
 def _rank(design: Design) -> tuple[bool, float, float]:

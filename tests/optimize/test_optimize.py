@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -234,6 +235,19 @@ def test_an_interrupted_search_keeps_its_best_design() -> None:
     assert design.message == "interrupted"
     assert len(design.history) == 3
     np.testing.assert_allclose(float(design.result.mass), min(design.history, key=lambda r: r["objective"])["mass"])
+
+
+def test_the_cost_of_a_search_counts_the_checks_after_its_last_design(tmp_path: Path) -> None:
+    def interrupt(_: float) -> None:
+        raise KeyboardInterrupt
+
+    study, path = study_of_hidden_profile(iterations=25), tmp_path / "search.jsonl"
+    design = optimize.solve(study, on_check=interrupt, journal=optimize.Journal(path, "this one"))
+    asked = [json.loads(line) for line in path.read_text().splitlines()[1:]]
+    assert design.message == "interrupted" and asked[-1]["kind"] == "check"
+    cost = 1.0 + sum(answer["answer"]["cost"] for answer in asked)  # the first part is simulated before
+    assert design.summary()["simulations"] == pytest.approx(cost) and design.history[-1]["simulations"] < cost
+    assert design.summary()["seconds"] == asked[-1]["answer"]["elapsed"]
 
 
 @pytest.mark.parametrize("method", scenes.short_first(["lbfgs", "least-squares"]))
