@@ -172,6 +172,14 @@ def read_rows(path: Path) -> list[Row]:
     return rows
 
 
+def cell_value(text: str) -> float | bool | str:
+    """The number, truth value or text that a cell was written for."""
+    if text in ("true", "false"):
+        return text == "true"
+    found = number(text)
+    return text if found is None else int(text) if text.lstrip("-").isdecimal() else found
+
+
 def number(text: str | None) -> float | None:
     """The number of a cell; None if it is not a number."""
     try:

@@ -19,7 +19,7 @@ from jaxform.core.installation import usable_cores
 from jaxform.model.scene import Scene
 from jaxform.sweeps.designs import SCENE, DesignRow, Rows, make_designs, parse_path
 from jaxform.sweeps.evaluation import call_function, measure, pack_scene, worker_setting
-from jaxform.sweeps.records import MEASURES, Records, head, number
+from jaxform.sweeps.records import MEASURES, Records, cell_value, head, number
 from jaxform.sweeps.workers import DaskWorkers, LocalWorkers, Outcome, evaluate
 
 _DESIGNS = "designs"
@@ -187,7 +187,7 @@ class _Recorder:
             return None
         row, found = self._records.rows[design.digest], self._records.measures(design.digest)
         seconds = number(found.pop("seconds", "")) or 0.0
-        value = {name: number(text) if number(text) is not None else text for name, text in found.items() if text}
+        value = {name: cell_value(text) for name, text in found.items() if text}
         return Outcome(row["status"], value or None, seconds)
 
     def add(self, design: DesignRow, outcome: Outcome) -> None:

@@ -25,6 +25,10 @@ def describe(scene: jaxform.Scene) -> dict[str, float]:
     return {"depth": depth, "c": float(np.asarray(vars(scene.material)["c"]).max())}
 
 
+def of_each_type(scene: jaxform.Scene) -> dict[str, Any]:
+    return {"count": 3, "whole": 2.0, "good": scene.mold is not None, "word": "cup"}
+
+
 def same(scene: jaxform.Scene) -> bytes:
     return b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(scene))
 
@@ -92,6 +96,15 @@ def test_outcomes_are_recorded_and_read_again(scene: Path, tmp_path: Path) -> No
         assert [row["seconds"] for row in rows[:2]] == [repr(outcome.seconds) for outcome in first[:2]]
         anew = jaxform.sweep(DESIGNS[:1], describe, **options)
         assert anew[0].seconds != first[0].seconds
+
+
+def test_values_have_the_types_that_they_were_recorded_with(scene: Path, tmp_path: Path) -> None:
+    """A whole number came back as 3.0, and True as a text."""
+    with ThreadPoolExecutor(1) as executor:
+        options: dict[str, Any] = {"scene": scene, "executor": executor, "out": tmp_path / "out"}
+        first, again = (jaxform.sweep(DESIGNS[:1], of_each_type, resume=resume, **options) for resume in (False, True))
+    assert again == first and first[0].seconds == again[0].seconds
+    assert [type(value) for value in again[0].value.values()] == [int, float, bool, str]
 
 
 def test_the_default_is_the_row_of_the_command(scene: Path) -> None:
