@@ -219,9 +219,16 @@ def warnings_of_filling(result: Result, scene: Scene, filling: Filling) -> list[
         return []
     return [
         f"the mold is not filled: {gap.width:.3g} m remain at {format_place(gap.place)}, "
-        f"{100 * gap.width / filling.depth:.0f} % of the opening's depth; raise the pressure or solver.end_time, or "
-        "set mold.fill = false"
+        f"{100 * gap.width / filling.depth:.0f} % of the opening's depth; {remedy_of_opening(result)}"
     ]
+
+
+def remedy_of_opening(result: Result) -> str:
+    """Remedies for a mold that is not filled: where elements are held at edges, more pressure hardly moves them."""
+    remedy = "raise the pressure or solver.end_time, or set mold.fill = false if the mold need not be filled"
+    if result.held_sides is None or not int(result.held_sides):
+        return remedy
+    return f"{FINER} or run `jaxform adapt`: elements that are held at edges bridge what lies between; or {remedy}"
 
 
 def remedy_of_bridge(scene: Scene) -> str:

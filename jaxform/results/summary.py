@@ -19,7 +19,7 @@ from jaxform.mesh.topology import components
 from jaxform.mesh.volumes import longest_sides
 from jaxform.model.replacement import describe_out_of_range
 from jaxform.model.scene import Scene
-from jaxform.results.filling import FINER, measure_filling, warnings_of_filling
+from jaxform.results.filling import FINER, measure_filling, remedy_of_opening, warnings_of_filling
 from jaxform.results.part import restrict_to_part, rim_elements, thinnest_element, warnings_of_part
 from jaxform.results.recovery import thinnest_recovered
 from jaxform.results.result import Energy, Result, Seconds, warnings_of_no_work
@@ -68,7 +68,6 @@ _REMEDIES = {
     Status.BURST: "lower the pressure, widen narrow places of the mold, or set solver.self_contact where it folds",
     Status.INPUT: "keep designed parameters within their range, and free of NaN",
     Status.UNBALANCED: "lower solver.safety, raise solver.damping, or raise the pressure more slowly",
-    Status.UNFILLED: "raise the pressure or solver.end_time, or set mold.fill = false if the mold need not be filled",
 }
 
 
@@ -104,6 +103,8 @@ def _describe_status(result: Result) -> str:
         if status & bit
     ]
     remedy = [words for bit, words in _REMEDIES.items() if status & bit]
+    if status & Status.UNFILLED:
+        remedy.append(remedy_of_opening(result))
     if status & Status.INPUT:
         return "; ".join([f"{what[0]}: {describe_out_of_range(np.asarray(result.out_of_range))}", *what[1:], *remedy])
     if status == Status.UNFILLED:
