@@ -72,7 +72,9 @@ def _complain(words: str) -> None:
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise InputError(f"{message}; see `{self.prog} --help`")
+        # `--mold` takes every name that follows it.
+        order = ", which has to be named before --mold" if message.endswith("required: FOLDER") else ""
+        raise InputError(f"{message}{order}; see `{self.prog} --help`")
 
 
 class _Version(argparse.Action):

@@ -254,6 +254,13 @@ def outline(tmp_path: Path, lines: str) -> files.SceneDocument:
     return files.read_scene(tmp_path / "scene.toml")
 
 
+def test_a_folder_after_the_mold_is_said_to_come_before_it(tmp_path, capfd):
+    mold, folder = write(tmp_path / "dish.stl", dish(), 0.001), tmp_path / "scene"
+    assert command.main(["new", "--mold", str(mold), str(folder)]) == 2
+    assert "FOLDER, which has to be named before --mold" in capfd.readouterr().err
+    assert not folder.exists()
+
+
 def test_an_outline_in_a_scene_file(tmp_path):
     scene = files.build(outline(tmp_path, "polygon = [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]"))
     positions = np.asarray(scene.parison.positions)
