@@ -11,7 +11,6 @@ import jax.numpy as jnp
 
 from jaxform.contact.sliding import split_by_tool
 from jaxform.dynamics.contact_step import FAR
-from jaxform.dynamics.timestep import damped_share
 from jaxform.dynamics.window_state import ContactSearch, WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once, over_blocks
 from jaxform.mechanics import membrane
@@ -32,7 +31,7 @@ _FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows 
 _STEADY = 0.05  # of the bound on the step: where it changes by more in a window, they become shorter
 _QUIET = 1e-2  # of the largest work: where a window misses more energy, they become shorter
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then retried at most so often
-_GAIN_TOLERANCE = 0.005  # the same of energy that is gained where damping does not take it away
+_GAIN_TOLERANCE = 0.005  # the same of energy that is gained: damping would take it away, with the wall changed
 _RELEASE_TOLERANCE = 0.002  # the same for the first window of a damped sheet after the clamp opens
 
 
@@ -73,8 +72,8 @@ def end_window(
     # A window whose energy balance misses too much is retried with shorter steps, a few times.
     jump = jnp.abs(imbalance - state.account.imbalance) - rounding
     gained = imbalance - jnp.maximum(state.account.imbalance, 0.0) - rounding
-    gains = (gained > _GAIN_TOLERANCE * new.account.peak_work) & (damped_share(data.length, scene) < 1.0)
-    unsure = (jump > _jump_tolerance(state, scene) * new.account.peak_work) | gains
+    unsure = jump > _jump_tolerance(state, scene) * new.account.peak_work
+    unsure |= gained > _GAIN_TOLERANCE * new.account.peak_work
     unsure &= state.control.retries < _RETRIES_FOR_ENERGY
     # An unstable window, and one in which a node may have missed the mold, is retried with half the step: the sheet
     # may have stiffened within the window.

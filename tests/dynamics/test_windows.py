@@ -13,7 +13,7 @@ import pytest
 import jaxform
 from benchmarks.speed.bench import disable_skips, with_windows_of
 from jaxform import shapes
-from jaxform.dynamics import timestep
+from jaxform.dynamics import timestep, window_end
 from jaxform.dynamics import window as windows
 from jaxform.dynamics.window_state import initial_state
 from jaxform.model.replacement import number_at
@@ -71,6 +71,32 @@ def test_after_one_that_was_cut_short_comes_a_short_one() -> None:
     rejected = np.flatnonzero((counts == 0) & (np.asarray(schedule.lengths) > 0.0))
     assert len(rejected) and counts[rejected[0] - 1] > SHORT_WINDOW
     assert all(counts[k + 1] <= SHORT_WINDOW for k in rejected)
+
+
+@pytest.mark.parametrize(("gain", "retried"), [(0.01, True), (0.003, False), (-0.01, False)])
+def test_a_window_that_gains_energy_is_retried_though_damping_would_take_it_away(
+    monkeypatch: pytest.MonkeyPatch, gain: float, retried: bool
+) -> None:
+    """A folded web gained 1.5 % of the work in one window of a run with damping, and the run ended unbalanced."""
+    disc = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
+    solver = jaxform.make_solver(end_time=22.0, damping=20.0)
+    scene = dataclasses.replace(disc, pressure=jaxform.make_pressure([0.0, 20.0], [0.0, 0.08]), solver=solver)
+    scene = disable_skips(scene, sharp_step=False)
+    state, sheet = scenes.begin_run(scene)
+    advance = jax.jit(lambda state: windows.window(state, scene, sheet, differentiable=False))
+    for _ in range(12):
+        state = advance(state)
+    assert int(state.control.retries) == 0
+    health = window_end._health
+
+    def gained(new: Any, *given: Any) -> Any:
+        status, imbalance = health(new, *given)
+        return status, imbalance + gain * new.account.peak_work
+
+    monkeypatch.setattr(window_end, "_health", gained)
+    after = windows.window(state, scene, sheet, differentiable=False)
+    assert int(after.control.retries) == retried and int(after.shortened - state.shortened) == retried
+    assert (float(after.time) > float(state.time)) is not retried
 
 
 def test_no_window_takes_more_of_a_velocity_than_can_be_found_again(cup: jaxform.Scene) -> None:
