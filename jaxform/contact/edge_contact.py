@@ -50,9 +50,7 @@ _ROUNDINGS = 64  # that the gaps are accurate to, in float32
 _SOFTNESS = 3e-5  # of its ends' own way in the step in which a side is first held: more may be held than can be
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
 _OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
-_FADE = (
-    100.0  # steps, of the length of that in which it was first held, in which the force of a side let go falls to 1/e
-)
+_FADE = 100.0  # steps, as long as that in which a side was first held: its force falls to 1/e of it once it is let go
 _CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals, besides a step's way
 _EDGE_GROUP = 16  # edges for which near sides are found together
 _WIDER = 1.25  # times the spheres that nodes are expected to stay in
