@@ -161,7 +161,9 @@ def test_a_tool_cools_by_its_own_numbers_or_by_those_of_the_mold() -> None:
     document = files.validate_scene(tables, "s.toml", Path("."))
     scene = files.build_unchecked(document)
     (line,) = [one for one in check_command.scene_lines(document, scene, Store()) if "cools the sheet" in one]
-    assert line.startswith("the tool plug") and line.endswith(": temperature 60 degC, heat transfer 5 W/(m² K)")
+    assert line.startswith("the tool plug") and line.endswith(
+        " with its own temperature 60 degC, heat transfer 5 W/(m² K)"
+    )
     assert scene.tool_warmth is not None
     own, general = [tuple(map(float, warmth)) for warmth in scene.tool_warmth]
     assert own == (5.0, 60.0) and general == (500.0, 40.0)
