@@ -246,7 +246,7 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
         wait = f"{_seconds_to_compile(scene):.0f} s"
         yield f"compiles first, for about {wait}: no scene of this kind and size was run on this machine before"
     if scene.solver.quasi_static:
-        most = f"{format_percent(QUASI_STATIC_LIMIT)}"
+        most = format_percent(QUASI_STATIC_LIMIT)
         yield f"quasi-static process: a warning follows if inertia or damping change the wall by more than {most}"
 
 

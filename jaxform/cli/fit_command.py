@@ -86,7 +86,7 @@ def fit(arguments: argparse.Namespace) -> int:
 
 
 def _number_lines(facts: dict[str, Any]) -> Iterator[str]:
-    level = f"{format_percent(facts['confidence_level'], 3)}"
+    level = format_percent(facts["confidence_level"], 3)
     for number in facts["numbers"]:
         unit = f" {number['unit']}" if number["unit"] else ""
         how = (
