@@ -178,7 +178,9 @@ FAULTS = [
         "even = (mobile[:, None] & mobile",
         "even = (mobile[:, None] | mobile",
     ),
-    Fault("sizes", "jaxform/adapt/mesher.py", ">= _HIGHER * height.min()", ">= 0.0 * height.min()"),
+    Fault(
+        "sizes", "jaxform/adapt/mesher.py", "_heights(*parts).min() >= height.min()", "_heights(*parts).min() >= 0.0"
+    ),
     Fault("sizes", "jaxform/results/size_field.py", "** (-0.5 * _POWER)", "** (0.5 * _POWER)"),
     Fault("sizes", "jaxform/results/size_field.py", ".mean(1)) - recovered", ".mean(1)) + recovered"),
     Fault("sweeps", "jaxform/sweeps/designs.py", "int(share * (most - least + 1))", "int(share * (most - least))"),

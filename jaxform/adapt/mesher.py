@@ -392,14 +392,10 @@ def to_surface(sheet: Sheet, places: Array) -> Array:
     return np.where(sheet.fixed, sheet.positions, on_surface)
 
 
-_HIGHER = 2.0  # times as high as the lowest triangle is each part of a divided one, which may be stretched more
-
-
 def divide_sides(sheet: Sheet, ends: Index, share: Array, elements: int) -> Sheet:
     """The sheet with new nodes on sides of its triangles, the first ones first, as far as these may be so many.
 
-    A triangle is divided once, and only where each part is twice as high as the lowest triangle: steps become no
-    shorter.
+    A triangle is divided once, and only where each part is as high as the lowest triangle: steps become hardly shorter.
 
     Args:
         sheet: The sheet.
@@ -418,7 +414,7 @@ def divide_sides(sheet: Sheet, ends: Index, share: Array, elements: int) -> Shee
         if not own or sheet.clamped[pair].all() or divided[own].any() or count + len(own) > elements:
             continue
         parts = topology.split_edges(sheet.positions, sheet.triangles[own], pair[None], place[None])
-        if _heights(*parts).min() >= _HIGHER * height.min():
+        if _heights(*parts).min() >= height.min():
             chosen.append(number)
             divided[own], count = True, count + len(own)
     points, triangles = topology.split_edges(sheet.positions, sheet.triangles, ends[chosen], places[chosen])

@@ -44,6 +44,7 @@ _STOPS = (
 )
 """Statuses of runs whose wall does not say where elements should be; an unfilled corner is none of them."""
 _FITS, _MOVES = 3, 2  # runs after which sides that cut are divided, and nodes are moved onto edges, at most
+_SPARE = 0.04  # of the elements, which are kept for new nodes on sides that cut edges
 _FITTED = 0.02  # of an element, which no node is moved by for the last time
 _BETTER = 0.75  # times the estimated error before: a mesh with that is taken though it is cut deeper
 _DOUBTFUL, _GOOD = 0.10, 0.05  # estimated errors of the elements' wall: of one to warn of, and of one that will do
@@ -156,14 +157,16 @@ def _make(document: SceneDocument, sheet: Sheet, store: Store | None, report: Ca
         lines, before = size_field.edge_lines(scene, result), sheet
         # With edge contact nodes are moved onto edges below, and lines are worth no short steps.
         keep = not document.model.solver.edge_contact
-        sheet = mesher.remesh(before, size_field.wanted_sizes(scene, result), most, lines, keep_lines=keep)
-        if number == wanted.passes:
+        last, holds = number == wanted.passes, any(edges.size for edges in scene.tables.edges)
+        elements = int((1.0 - _SPARE) * most) if last and holds else most
+        sheet = mesher.remesh(before, size_field.wanted_sizes(scene, result), elements, lines, keep_lines=keep)
+        if last:
             # Only the last mesh: the sizes of the next are found from elements in any direction.
             sheet = smoothing.smooth(
                 sheet, before, np.asarray(result.positions, float), size_field.beside_edges(scene, result)
             )
         sheet = _with_fields_of(first, sheet)
-    if any(edges.size for edges in scene.tables.edges):
+    if holds:
         sheet = _with_fields_of(first, _move_to_edges(document, sheet, store, (wanted.passes, most), note))
     expected = runs[-1][1] * float(np.sqrt(runs[-1][0] / len(sheet.triangles)))
     return {**_arrays(sheet), _RUNS: np.array(runs), _ERROR: np.array(expected)}

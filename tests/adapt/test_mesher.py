@@ -213,7 +213,7 @@ def test_sides_are_divided_as_far_as_there_may_be_so_many_elements_and_none_are_
     chosen = ends[[plane, np.flatnonzero(rim)[0], *inside]]
     share = np.array([0.3, 0.5, 0.5, 0.7])
     whole = mesher.divide_sides(sheet, chosen, share, 10_000)
-    assert len(whole.triangles) == len(sheet.triangles)  # a part would be less than twice as high as the lowest
+    assert len(whole.triangles) == len(sheet.triangles)  # a part would be lower than the lowest
     sheet = _with_a_low_triangle(sheet)
     made = mesher.divide_sides(sheet, chosen, share, 10_000)
     assert len(made.triangles) == len(sheet.triangles) + 1 + 2 + 2

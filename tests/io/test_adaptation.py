@@ -134,11 +134,16 @@ def test_the_command_tells_of_each_run_also_of_a_mesh_that_is_kept(
         assert json.loads((out / "summary.json").read_text())["adaptation"] == facts
 
 
-@pytest.mark.parametrize(("edges", "moves"), [(0, 0), (3, 1)])
-def test_nodes_are_moved_where_tools_have_edges(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, edges: int, moves: int
+@pytest.mark.parametrize(("edges", "moves", "elements"), [(0, 0, [2500, 2500]), (3, 1, [2500, 2400])])
+def test_nodes_are_moved_and_elements_left_for_new_ones_where_tools_have_edges(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, edges: int, moves: int, elements: list[int]
 ) -> None:
     scene, moved = SimpleNamespace(tables=SimpleNamespace(edges=(np.zeros((4, edges)),))), list[Sheet]()
+    most = list[int]()
+
+    def mesh(sheet: Sheet, _: object, elements: int, *__: object, **___: object) -> Sheet:
+        most.append(elements)
+        return sheet
 
     def move(document: object, sheet: Sheet, *_: object) -> Sheet:
         moved.append(sheet)
@@ -146,7 +151,7 @@ def test_nodes_are_moved_where_tools_have_edges(
 
     monkeypatch.setattr(adaptation, "_move_to_edges", move)
     monkeypatch.setattr(adaptation, "_run_pass", lambda *_: (scene, SimpleNamespace(positions=None)))
-    monkeypatch.setattr(adaptation.mesher, "remesh", lambda sheet, *_, **__: sheet)
+    monkeypatch.setattr(adaptation.mesher, "remesh", mesh)
     monkeypatch.setattr(adaptation.smoothing, "smooth", lambda sheet, *_: sheet)
     for name, value in {"mean_error": 0.1, "edge_lines": [], "wanted_sizes": None, "beside_edges": None}.items():
         monkeypatch.setattr(adaptation.size_field, name, lambda *_, value=value: value)
@@ -154,7 +159,7 @@ def test_nodes_are_moved_where_tools_have_edges(
     document, told = files.read_scene(path), list[np.ndarray]()
     first = geometry.build_sheet(adaptation.without_adaptation(document))
     adaptation._make(document, first, None, told.append)
-    assert len(told) == 2 and len(moved) == moves
+    assert len(told) == 2 and len(moved) == moves and most == elements
 
 
 @pytest.mark.parametrize(
