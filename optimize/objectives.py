@@ -25,6 +25,7 @@ class Objective:
         squares: True if the value is the sum of the squares of `deviations`.
         constrained: True if there are constraints.
         aims: True if it has a target thickness, so that a fixed point applies.
+        scale_free: True if a factor on the whole sheet hardly changes the value.
         price: Initial multipliers of its constraints.
     """
 
@@ -32,6 +33,7 @@ class Objective:
     aims: bool = False
     squares: bool = False
     constrained: bool = False
+    scale_free: bool = False
     price: float = 0.0
 
     def __call__(self, scene: Scene, result: Result) -> jax.Array:
@@ -156,7 +158,7 @@ class Target(Objective):
 class Uniform(Objective):
     """The square of the wall's coefficient of variation over the formed area."""
 
-    squares = aims = True
+    squares = aims = scale_free = True
 
     def deviations(self, scene: Scene, result: Result) -> jax.Array:
         """Relative deviation of the elements from the mean (n_element,), times the root of their share of the area."""

@@ -52,7 +52,13 @@ class Variable(Protocol):
 
 @runtime_checkable
 class SheetVariable(Variable, Protocol):
-    """A variable that is the sheet's thickness."""
+    """A variable that is the sheet's thickness.
+
+    Attributes:
+        bounds: Least and largest thickness [m].
+    """
+
+    bounds: Bounds
 
     def nearest(self, thickness: np.ndarray) -> np.ndarray:
         """The search's numbers that come closest to a nodal thickness (n_node,) [m]."""

@@ -14,10 +14,11 @@ import pytest
 import jaxform
 import optimize
 from jaxform.mesh.grids import Profile
-from optimize import termination
+from optimize import fixed_point, termination
 from optimize.designs import Point
 from optimize.gradients import gradient_error, slope_within
 from optimize.least_squares import _step, _trials
+from optimize.search import Search
 from optimize.variables import (
     SPAN,
     apply_bounds,
@@ -109,6 +110,20 @@ def test_a_search_from_a_bound_finds_a_wall_that_is_within_reach(method: str, ed
     found = np.asarray(design.changes["parison.thickness"]["value"])
     np.testing.assert_allclose(found, HIDDEN, rtol=0.04)
     assert design.gradient_error is not None and design.gradient_error < 1e-5
+
+
+def test_the_warm_start_of_an_even_wall_is_as_good_from_a_bound_as_from_the_middle() -> None:
+    """A factor on the sheet is free: one that leaves its bounds is scaled into them, and each level is tried."""
+    bounds, found, steps = (0.01, 0.02), [], []
+    for thickness in (bounds[0], float(np.sqrt(bounds[0] * bounds[1])), bounds[1]):
+        study = _even(thickness, bounds)
+        search = Search(study, None, 1.0)
+        fixed_point.warm_start(search, study, search.start)
+        assert search.best is not None
+        found.append(search.best.objective**0.5)
+        steps.append(len(search.history) - search.iteration - 1)
+    np.testing.assert_allclose(found, 0.0232, rtol=0.01)
+    assert steps == [2, 2, 2]  # beside the updates, the thinnest and the thickest such sheet
 
 
 @pytest.mark.long
