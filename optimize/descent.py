@@ -35,12 +35,13 @@ def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
     Numbers at a bound are fixed if the gradient points out of it; the line search follows the path projected onto the
     bounds.
     """
-    first, values, again, stuck = point, [point.value], True, False
+    # With limits, the next round searches again.
+    first, values, again, stuck = point, [point.value], not study.objective.constrained, False
     while True:
         ending = (
             search.begin()
             or check_convergence(study, point, values, first)
-            or (stagnation_ending(point, first) if stuck else None)
+            or (stagnation_ending(study, point, first) if stuck else None)
         )
         if ending and ending.by == "no-progress" and again:
             # Once more, without the memory of the curvature.
@@ -48,10 +49,14 @@ def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
         if ending:
             return point, ending
         step, whole = _line_search(search, point, _direction(search, point))
+        failure = stagnation_ending(study, point, first, NO_STEP.by)
+        if step is None and again and failure.by == "no-progress" and not search.stopped:
+            again, search.memory = False, None
+            step, whole = _line_search(search, point, _direction(search, point))
         if search.stopped:
             return step or point, STOPPED
         if step is None:
-            return point, NO_STEP
+            return point, failure
         values.append(step.value)
         stuck = not whole and is_negligible(study, point.value, step.value)
         point = search.refresh(step)

@@ -46,7 +46,10 @@ def updates(search: Search, study: Study, free: np.ndarray, count: int, worth: f
             return last, ending
         if not np.isfinite(last.value):
             return last, Ending("failure", "an update fails")
-        new, ratio = search.evaluate_forward(_update(search, last.free, ratio))
+        free = _update(search, last.free, ratio)
+        if np.array_equal(free, last.free):
+            return last, Ending("no-step", "an update changes nothing: the sheet would have to leave its bounds")
+        new, ratio = search.evaluate_forward(free)
         if new.value > last.value and search.limits is None:
             return last, Ending("no-step", "an update makes the deviation larger")
         gained, last = new.value <= worth * last.value, new

@@ -10,6 +10,7 @@ from optimize.designs import Point
 
 # Steps in the search's numbers, tried until one agrees: large ones meet other decisions, small ones rounding errors.
 _SIZES, _AGREES = (1e-3, 1e-4, 1e-5, 1e-6), 1e-7
+_AT_BOUND = 2e-3  # of half the way between the bounds
 # Where all of these disagree by more than this, the value may jump between designs that near: smaller ones are tried.
 _SMALL_SIZES, _DISAGREES = (1e-7, 1e-8, 1e-9), 1e-2
 
@@ -18,6 +19,12 @@ def slope_within(free: np.ndarray, gradient: np.ndarray, reach: np.ndarray) -> n
     """The gradient (n,) without components that lead out of the bounds: 0 at one that it presses on."""
     held = np.where(gradient > 0.0, free <= -reach, free >= reach)
     return np.where(held, 0.0, gradient)
+
+
+def side_of_bounds(free: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """The end of its bounds at which each number (n,) is: -1 for the lower, 1 for the upper one, 0 for none."""
+    near = reach - np.abs(free) <= _AT_BOUND * reach
+    return np.where(near & (reach > 0.0), np.sign(free), 0.0)
 
 
 def gradient_error(point: Point, reach: np.ndarray, values: Callable[[list[np.ndarray]], list[float]]) -> float:

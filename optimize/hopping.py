@@ -14,10 +14,10 @@ import numpy as np
 
 from optimize.designs import Point, Study
 from optimize.search import Method, Search
-from optimize.termination import GOAL, STOPPED, Ending, check_goal
+from optimize.termination import GOAL, LOCAL, STOPPED, Ending, check_goal
 
 _SHIFT = 0.16  # standard deviation of every number: 4 % of the way between its bounds
-_LOCAL = ("gradient_tolerance", "iterations", "no-progress", "no-step", "tolerance")  # ends that a hop may mend
+_LOCAL = ("iterations", *LOCAL)  # ends that a hop may mend
 
 
 def hop(

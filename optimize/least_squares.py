@@ -14,7 +14,7 @@ from scipy import optimize
 
 from optimize.designs import Point, Study
 from optimize.search import Search
-from optimize.termination import NO_STEP, STOPPED, Ending, check_convergence
+from optimize.termination import NO_STEP, STOPPED, Ending, check_convergence, stagnation_ending
 
 _FIRST_DAMPING, _DAMPING_STEP, _TRIALS = 1e-4, 10.0, 10
 _LEAST_DAMPING = 1e-7  # so that the trials of a step reach from Gauss and Newton's to one down the slope
@@ -39,7 +39,7 @@ def least_squares(search: Search, study: Study, point: Point) -> tuple[Point, En
         if search.stopped:
             return step or point, STOPPED
         if step is None:
-            return point, NO_STEP
+            return point, stagnation_ending(study, point, first, NO_STEP.by)
         values.append(step.value)
         point = search.refresh(step)
 

@@ -20,7 +20,7 @@ _NO_PROGRESS = 0.9  # of the violation before: a limit that can be kept is neare
 
 def rounds(search: Search, study: Study, point: Point, method: Method) -> Ending:
     """Searches by a method until limits are satisfied and the objective no longer improves; the reason of the end."""
-    before, idle, hopeless = np.inf, 0, 0
+    before, idle, hopeless, again = np.inf, 0, 0, True
     ending = NO_STEP
     for number in range(1, study.rounds + 1):
         last, least = point.objective, _least_feasible(search)
@@ -36,16 +36,20 @@ def rounds(search: Search, study: Study, point: Point, method: Method) -> Ending
         _thicken(search, point)
         idle = 0 if _gain(least, _least_feasible(search)) > study.tolerance else idle + 1
         if number > 1 and (settled or (idle >= _IDLE_ROUNDS and np.isfinite(_least_feasible(search)))):
-            return Ending(
-                "tolerance", f"limits are satisfied and the objective no longer improves, after {number} rounds"
-            )
+            if ending.by != "no-progress":
+                words = f"limits are satisfied and the objective no longer improves, after {number} rounds"
+                return Ending("tolerance", words)
+            if not again:
+                return ending._replace(words=f"limits are satisfied after {number} rounds, but {ending.words}")
+            # Once more, without the memory of the curvature.
+            again, search.memory = False, None
         hopeless = hopeless + 1 if point.violation > max(_NO_PROGRESS * before, KEPT) else 0
         if hopeless >= _IDLE_ROUNDS and not np.isfinite(_least_feasible(search)):
             return Ending("no-progress", f"the last {hopeless} of {number} rounds reduced the violation no further")
         _update_multipliers(search, point, before)
         before = point.violation
         point = search(point.free)
-    if ending == NO_STEP:
+    if ending.by == NO_STEP.by:
         return ending
     return Ending("rounds", f"{study.rounds} rounds done, the last ended because: {ending.words}")
 

@@ -21,7 +21,7 @@ import jaxform
 from jaxform import Result, Scene
 from jaxform.extend import compile_function, mask_part
 from optimize.designs import COLUMNS, Point, Study
-from optimize.gradients import gradient_error, slope_within
+from optimize.gradients import gradient_error, side_of_bounds, slope_within
 from optimize.journal import Answer, Journal
 from optimize.termination import Ending, SpentError, budget_ending
 from optimize.variables import Variable
@@ -50,6 +50,7 @@ class Search:
         most_iterations: The step at which the search ends; a hop allows as many again.
         pause: The step at which a round ends, though the search goes on.
         best: The best design so far.
+        unmoved: Numbers (n,) that began at a bound and were there in each design that was the best one for a time.
         stopped: True if the caller has stopped the search.
         last: True if the budget of the search is spent, except for a reserved simulation.
         schedule: The decisions of simulations with refinement; None where each decides for itself.
@@ -76,6 +77,7 @@ class Search:
     most_iterations: int = 0
     pause: float = np.inf
     best: Point | None = None
+    unmoved: np.ndarray = field(init=False)
     stopped: bool = False
     last: bool = False
     schedule: jaxform.Schedule | None = None
@@ -95,6 +97,7 @@ class Search:
         splits = np.cumsum([variable.start.size for variable in self.study.variables])[:-1]
         self._splits = [int(split) for split in splits]
         self.most_iterations = self.study.iterations
+        self.unmoved = side_of_bounds(self.start, self.reach) != 0.0
         self._began, self._clock = time.perf_counter(), time.process_time()
         self._costs: dict[str, float] = {}
         self._curved: tuple[Point, np.ndarray] | None = None
@@ -328,6 +331,7 @@ class Search:
             point = Point(free, np.inf, np.zeros_like(free), slope=np.zeros_like(free))
         elif self.best is None or point.rank < self.best.rank:
             self.best = point
+            self.unmoved = self.unmoved & (side_of_bounds(free, self.reach) == side_of_bounds(self.start, self.reach))
         self._record(point, answer)
         return point
 

@@ -1,11 +1,13 @@
-"""Variables without effect: found in the first gradient, and reported before the search, with the reason.
+"""Variables without effect, found in the first gradient, and variables at their bounds in the best design.
 
-The wall of a slow process depends on neither pressure nor stiffness; a search over them alone is useless.
+The wall of a slow process depends on neither pressure nor stiffness; a search over them alone is useless. A number
+that stays at the bound where it began may be held there by a rise of the objective behind which it falls further.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +16,11 @@ import numpy as np
 from jaxform import Result
 from jaxform.extend import QUASI_STATIC_LIMIT, format_percent
 from optimize.designs import Point
+from optimize.gradients import side_of_bounds
+from optimize.heaters import HeaterZones
 from optimize.pressures import PressureKnots
 from optimize.search import Search
+from optimize.termination import LOCAL
 from optimize.variables import Scale, SheetVariable, Variable
 
 _IDLE = 0.01  # of the value: what changes it by less than this over its whole bounds does nothing
@@ -84,9 +89,49 @@ def _sentence(index: int, variable: Variable, change: float, first: Result, ever
     )
 
 
+def numbers_at_bounds(search: Search, free: np.ndarray) -> list[dict[str, Any]]:
+    """A row for each variable with numbers at a bound, or at a limit of neighbours, in a design.
+
+    Args:
+        search: The search.
+        free: The design, as numbers of the search (n,).
+
+    Returns:
+        For each variable: its place in the study, its kind, the count of its numbers, and the places from 0 of those at
+        the lower end ("lower"), at the upper one ("upper"), and of those that never left the end where they began
+        ("unmoved").
+    """
+    rows = []
+    parts = zip(search.parts(side_of_bounds(free, search.reach)), search.parts(search.unmoved), strict=True)
+    for index, ((variable, at), (_, unmoved)) in enumerate(parts):
+        if at.any():
+            lower, upper, same = (np.flatnonzero(mask).tolist() for mask in (at < 0, at > 0, unmoved & (at != 0)))
+            facts = {"variable": index, "kind": _kind(variable), "numbers": at.size}
+            rows.append(facts | {"lower": lower, "upper": upper, "unmoved": same})
+    return rows
+
+
+def unmoved_numbers(rows: list[dict[str, Any]], stopped_by: str) -> list[str]:
+    """A sentence for each variable with numbers that never left their bound in a search that ended at an optimum.
+
+    Args:
+        rows: Rows of `numbers_at_bounds`.
+        stopped_by: The reason for the search's end, in a word.
+    """
+    return [
+        f"{len(row['unmoved'])} of {row['numbers']} numbers of variable[{row['variable']}] ({row['kind']}) never left "
+        "the bound where they began: this may be a local optimum, with better designs inside the bounds; compare other "
+        "starts (solver.starts)"
+        for row in rows
+        if row["unmoved"] and stopped_by in LOCAL
+    ]
+
+
 def _kind(variable: Variable) -> str:
     if isinstance(variable, Scale):
         return f"scale of {variable.of}"
     if isinstance(variable, PressureKnots):
         return "pressure"
+    if isinstance(variable, HeaterZones):
+        return "heater-zones"
     return "thickness"

@@ -70,6 +70,8 @@ class Design:
         simulations: Cost of all of the search, checks of its gradient included, in simulations without gradient.
         seconds: Its time [s].
         starts: A row for each of several starts: its number from 1, objective, status, simulations, and seconds.
+        at_bounds: A row for each variable with numbers at a bound in the best design; see
+            `optimize.sensitivity_check.numbers_at_bounds`.
         first_row: Row of the study's own first design; None where it is the first of the history.
     """
 
@@ -94,6 +96,7 @@ class Design:
     seconds: float
     starts: list[Row] = field(default_factory=list)
     first_row: Row | None = None
+    at_bounds: list[Row] = field(default_factory=list)
     secants: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
@@ -123,6 +126,7 @@ class Design:
             "multiplier": self.multiplier,
             "gradient_error": self.gradient_error,
             "secants": self.secants,
+            "at_bounds": self.at_bounds,
             "iterations": self.history[-1]["iteration"],
             "warm_start": self.updates,
             "evaluations": len(self.history),
@@ -237,6 +241,7 @@ def solve_once(
         simulations=search.simulations,
         seconds=search.seconds,
         secants=search.secants,
+        at_bounds=sensitivity_check.numbers_at_bounds(search, best.free),
     )
 
 

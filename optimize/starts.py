@@ -21,6 +21,7 @@ import numpy as np
 from jaxform import InputError, InputWarning
 from jaxform.extend import MOST_SOBOL, Outcome, WorkerSetting, compile_once, evaluate, guarded, set_up, worker_setting
 from jaxform.scene_files import atomic_path
+from optimize import sensitivity_check
 from optimize.designs import KEPT, Study
 from optimize.journal import Answer, Journal
 from optimize.search import Search
@@ -73,7 +74,11 @@ def solve(
     calls: Row = {"on_evaluation": on_evaluation, "on_check": on_check, "on_warning": warn, "on_wait": on_wait}
     if study.starts == 1:
         evaluators = None if executor is None else functools.partial(_evaluate_elsewhere, executor)
-        return solve_once(study, **calls, journal=journal, evaluators=evaluators)
+        design = solve_once(study, **calls, journal=journal, evaluators=evaluators)
+        for sentence in sensitivity_check.unmoved_numbers(design.at_bounds, design.stopped_by):
+            design.warnings.append(sentence)
+            warn(sentence)
+        return design
     check(study)
     kept = journal or Journal()
     journals = [kept.of_start(number) for number in range(1, study.starts + 1)]

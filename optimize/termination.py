@@ -11,7 +11,7 @@ from optimize.designs import Point, Study
 _IDLE_STEPS = 5
 _ROOTS = 0.1  # of the tolerance: what the root of a sum of squares must gain, for below it the mesh decides
 _SMALL_STEP = 0.04  # of every number of the search, a hundredth of the way between its bounds
-_STEEP = 0.1  # of the value: where such a step promises more than this,
+_STEEP = 5.0  # times the tolerance, of the value or the root: where such a step promises more than this,
 _LEFT = 0.1  # and of the first slope more than this is left, a search that stands still is at no optimum
 
 
@@ -31,6 +31,7 @@ class Ending(NamedTuple):
 NO_STEP = Ending("no-step", "no step along the search direction improves the objective")
 STOPPED = Ending("caller", "stopped by the caller")
 GOAL = Ending("goal", "the goal is reached")
+LOCAL = ("gradient_tolerance", "no-progress", "no-step", "tolerance")  # endings at what may be a local optimum
 
 
 class SpentError(Exception):
@@ -51,10 +52,15 @@ def check_convergence(
     """
     if reached := check_goal(study, point):
         return reached
+    if not point.slope.any():
+        words = "the gradient is zero: no number of the design changes the objective"
+        if point.gradient.any():
+            words = "every number of the design that has an effect is at a bound beyond which the objective improves"
+        return Ending("gradient_tolerance", words)
     if float(np.linalg.norm(point.slope)) <= study.gradient_tolerance * float(np.linalg.norm(first.slope)):
         return Ending("gradient_tolerance", "the gradient is below its tolerance")
     if len(values) > steps and is_negligible(study, values[-1 - steps], values[-1]):
-        return stagnation_ending(point, first)
+        return stagnation_ending(study, point, first)
     return None
 
 
@@ -73,24 +79,37 @@ def is_negligible(study: Study, before: float, after: float) -> bool:
     if before - after <= study.tolerance * abs(after):
         return True
     squares = study.objective.squares and not study.objective.constrained
-    return squares and before**0.5 - after**0.5 <= _ROOTS * study.tolerance
+    return squares and before**0.5 - max(after, 0.0) ** 0.5 <= _ROOTS * study.tolerance
 
 
 def predicted_gain(point: Point) -> float:
-    """Predicted gain of a small step of all numbers down the slope, relative to the value."""
-    return float(_SMALL_STEP * np.abs(point.slope).sum() / max(abs(point.value), 1e-300))
+    """Predicted gain of a small step of all numbers down the slope."""
+    return float(_SMALL_STEP * np.abs(point.slope).sum())
 
 
-def stagnation_ending(point: Point, first: Point) -> Ending:
-    """The ending after steps without gain: an optimum only where the slope has vanished, or predicts no gain either."""
-    left = float(np.linalg.norm(point.slope)) / max(float(np.linalg.norm(first.slope)), 1e-300)
-    if left <= _LEFT or predicted_gain(point) <= _STEEP:
-        return Ending("tolerance", "the last steps gained almost nothing")
+def stagnation_ending(study: Study, point: Point, first: Point, by: str = "tolerance") -> Ending:
+    """The ending after steps without gain, or without a step that gains ("no-step").
+
+    It is called an optimum only where the slope has vanished, or predicts no gain either.
+    """
+    left = _steepness(study, point) / max(_steepness(study, first), 1e-300)
+    promised = point.value - predicted_gain(point) / _STEEP
+    if left <= _LEFT or is_negligible(study, point.value, promised):
+        return NO_STEP if by == NO_STEP.by else Ending("tolerance", "the last steps gained almost nothing")
+    share = float(np.linalg.norm(point.slope)) / max(float(np.linalg.norm(first.slope)), 1e-300)
+    what = "no step gains anything" if by == NO_STEP.by else "the last steps gained almost nothing"
     words = (
-        f"the last steps gained almost nothing, although the gradient is still {100 * left:.0f} % of the first one: "
+        f"{what}, although the gradient is still {100 * share:.0f} % of the first one: "
         "the objective is rough here, and this need not be the best design; try other starts (solver.starts)"
     )
     return Ending("no-progress", words)
+
+
+def _steepness(study: Study, point: Point) -> float:
+    """Norm of the slope, that of the root of a sum of squares: the slope of the sum itself vanishes with its value."""
+    norm = float(np.linalg.norm(point.slope))
+    squares = study.objective.squares and not study.objective.constrained
+    return norm / max(point.value, 1e-300) ** 0.5 if squares else norm
 
 
 def budget_ending(study: Study, simulations: float, seconds: float) -> Ending | None:

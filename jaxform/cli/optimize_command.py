@@ -218,9 +218,10 @@ def _compare_starts(design: Any, goal: float | None) -> str:
         return f"{there} of {len(design.starts)} starts reach the goal of {goal:.4g} ({STARTS})"
     near = sum(value <= (1.0 + _SAME) * design.objective for value in found)
     failed = len(design.starts) - len(found)
+    others = f", the others with up to {max(found):.4g}" if near < len(found) else ""
     return (
-        f"{near} of {len(design.starts)} starts end within {100 * _SAME:.0f} % of the best objective, the others with "
-        f"up to {max(found):.4g}; {failed} failed ({STARTS})"
+        f"{near} of {len(design.starts)} starts end within {100 * _SAME:.0f} % of the best objective{others}; "
+        f"{failed} failed ({STARTS})"
     )
 
 
@@ -241,6 +242,9 @@ def _tell_design(say: Callable[[str], None], design: Any, goal: float | None, fo
     if facts["secants"]:
         ends = [f"{name} {found['slope']:.3g}, {found['secant']:.3g}" for name, found in facts["secants"].items()]
         say(f"slope along the gradient and secant over 1 % of the bounds: {'; '.join(ends)}")
+    for row in facts["at_bounds"]:
+        count = len(row["lower"]) + len(row["upper"])
+        say(f"at their bounds: {count} of {row['numbers']} numbers of variable[{row['variable']}] ({row['kind']})")
     if design.starts:
         say(_compare_starts(design, goal))
     if facts["multiplier"] is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 from typing import Any
@@ -14,7 +15,8 @@ import pytest
 import jaxform
 import optimize
 from jaxform.mesh.grids import Profile
-from optimize import fixed_point, termination
+from optimize import fixed_point, sensitivity_check, termination
+from optimize.descent import lbfgs
 from optimize.designs import Point
 from optimize.gradients import gradient_error, slope_within
 from optimize.least_squares import _step, _trials
@@ -155,6 +157,100 @@ def test_standing_still_on_a_slope_is_not_called_tolerance() -> None:
     # A number that presses on a bound promises nothing.
     free, gradient = np.array([-2.0, -2.0, 2.0, 0.5]), np.array([1.0, -1.0, 1.0, 1.0])
     assert slope_within(free, gradient, np.full(4, 2.0)).tolist() == [0.0, -1.0, 1.0, 1.0]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("objective", "value", "slope", "first", "by"),
+    [
+        # A value that halves between the bounds: 1 % of them promises seven times the tolerance.
+        ("time", 0.9, 0.17, 0.17, "no-progress"),
+        ("time", 0.9, 0.005, 0.17, "tolerance"),
+        # The slope of a sum of squares falls with its root: of the root, three fifths are left.
+        ("target", 1e-4, 6e-3, 1.0, "no-progress"),
+        ("target", 1e-4, 6e-4, 1.0, "tolerance"),
+        # The promise is below what a mesh resolves.
+        ("target", 1.4e-4, 6e-5, 2e-4, "tolerance"),
+    ],
+)
+def test_a_slope_that_is_left_is_measured_by_what_it_promises(
+    objective: str, value: float, slope: float, first: float, by: str
+) -> None:
+    study = _study(0.01)
+    if objective == "time":
+        study = dataclasses.replace(study, objective=optimize.FormingTime(study.scene))
+    begin = _at_design(1.0 if first == 1.0 else 2.0 * value, first)
+    ending = termination.check_convergence(study, _at_design(value, slope), [value] * 7, begin)
+    assert ending is not None and ending.by == by
+    failed = termination.stagnation_ending(study, _at_design(value, slope), begin, "no-step")
+    assert failed.by == ("no-step" if by == "tolerance" else by)
+
+
+def test_a_gradient_of_zero_is_told_with_its_reason() -> None:
+    study = _even(0.01, BOUNDS)
+    flat = Point(np.zeros(2), 1.0, np.zeros(2), 1.0, slope=np.zeros(2))
+    held = dataclasses.replace(flat, gradient=np.array([1.0, 0.0]))
+    for point, words in ((flat, "no number of the design changes"), (held, "is at a bound beyond which")):
+        ending = termination.check_convergence(study, point, [1.0], point)
+        assert ending is not None and ending.by == "gradient_tolerance" and words in ending.words
+
+
+def test_a_line_search_that_fails_on_a_slope_is_repeated_and_no_optimum() -> None:
+    """The value rises on both sides of the first design, though its gradient says that it falls."""
+
+    class Misled(Search):
+        def compute(self, free: np.ndarray) -> Any:
+            names = ("error", "least", "mean", "variation", "mass")
+            value = jnp.asarray(0.1 + np.abs(free - start).sum())
+            report = {"objective": value, "status": jnp.asarray(0)} | dict.fromkeys(names, jnp.asarray(0.0))
+            return (value, report), jnp.ones(free.size)
+
+    search = Misled(_even(0.015, BOUNDS), None, 1.0)
+    start = search.start
+    point, ending = lbfgs(search, search.study, search(start))
+    assert ending.by == "no-progress" and "no step gains anything" in ending.words
+    assert point.free.tolist() == start.tolist() and len(search.history) == 1 + 2 * 8
+
+
+def test_numbers_that_never_left_their_bound_are_told() -> None:
+    search = Search(_even(BOUNDS[0], BOUNDS), None, 1.0)
+    assert sensitivity_check.numbers_at_bounds(search, np.zeros(4)) == []
+    names = ("error", "least", "mean", "variation", "mass", "ratio", "cost", "elapsed")
+    answer = {"status": 0, "error": np.nan} | dict.fromkeys(names, 0.0)
+    free = search.start.copy()
+    free[:3] = free[0], 0.0, search.reach[2]
+    for value, design in ((1.0, search.start), (0.9, np.append(free[:3], 0.0)), (0.8, free)):
+        search.accept(design, answer | {"value": value, "objective": value})
+    (row,) = rows = sensitivity_check.numbers_at_bounds(search, free)
+    # The last number went inside and came back; only the first has stayed.
+    assert row == {
+        "variable": 0,
+        "kind": "thickness",
+        "numbers": 4,
+        "lower": [0, 3],
+        "upper": [2],
+        "unmoved": [0],
+    }
+    (sentence,) = sensitivity_check.unmoved_numbers(rows, "tolerance")
+    assert sentence.startswith("1 of 4 numbers of variable[0] (thickness)") and "solver.starts" in sentence
+    assert sensitivity_check.unmoved_numbers(rows, "iterations") == []
+    assert sensitivity_check.unmoved_numbers([row | {"unmoved": []}], "tolerance") == []
+
+
+def test_a_sheet_that_would_have_to_leave_its_bounds_ends_and_is_told() -> None:
+    """A wall of half the thickness that the least sheet gives: no update changes anything."""
+    study = _study(BOUNDS[0], method="fixed-point", iterations=9)
+    thin = optimize.Target(study.scene, 0.5 * np.asarray(jaxform.run(study.scene).thickness))
+    study = dataclasses.replace(study, objective=thin)
+    told: list[str] = []
+    design = optimize.solve(study, on_warning=told.append)
+    assert design.stopped_by == "no-step" and len(design.history) == 2
+    assert design.summary()["at_bounds"][0]["unmoved"] == [0, 1, 2, 3]
+    assert any(sentence.startswith("4 of 4 numbers") for sentence in told) and design.warnings == told
+    # Other starts are the remedy: where there are several, it is not advised.
+    told.clear()
+    several = optimize.solve(dataclasses.replace(study, starts=2, iterations=1), on_warning=told.append)
+    assert not any("solver.starts" in sentence for sentence in told) and len(several.starts) == 2
 
 
 @pytest.mark.long

@@ -309,3 +309,23 @@ def test_rounds_end_by_what_they_reach_and_iterations_are_their_total(
     assert ending.by == by
     assert search.iteration == min(iterations, 12 * rounds_done)
     assert search.multiplier == 1.0
+
+
+@pytest.mark.parametrize("last", ["tolerance", "no-progress"])
+def test_a_round_that_ends_on_a_slope_is_searched_once_more(last: str) -> None:
+    """Limits are kept and nothing is gained, but the second round ends where its gradient is left."""
+    study = _study(optimize.Uniform(), iterations=200)
+    search = _Rounds(dataclasses.replace(study, variables=()), 0.1, 0.9995)
+    search.memory = "of the curvature"  # pyright: ignore
+    endings = ["iterations", "no-progress", last]
+    count = 0
+
+    def method(*arguments: Any) -> tuple[Point, Ending]:
+        nonlocal count
+        count += 1
+        point, _ = search.method(*arguments)
+        assert (search.memory is None) == (count == 3)  # pyright: ignore
+        return point, Ending(endings[count - 1], "the gradient is left")
+
+    ending = rounds(search, search.study, search.point, method)  # pyright: ignore
+    assert (ending.by, count) == (last, 3)
