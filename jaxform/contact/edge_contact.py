@@ -18,8 +18,6 @@ time of impact, differentiably.
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -32,7 +30,6 @@ from jaxform.kernels.blocks import (
     entry,
     lax_cond_once,
     materialize,
-    on_cpu,
     over_blocks,
     put,
     slice_at,
@@ -45,12 +42,9 @@ from jaxform.tools.surface_walk import ContactSurface
 
 NOT_HELD = jnp.iinfo(jnp.int32).max
 """The step of an unused entry of held sides."""
-_MOST_PASSES, _ACCURACY = 1000, 1e-9  # of the solver: passes, and what is left of the gaps
-_ROUNDINGS = 64  # that the gaps are accurate to, in float32
-_SOFTNESS = 3e-5  # of its ends' own way in the step in which a side is first held: more may be held than can be
+SOFTNESS = 3e-5  # of its ends' own way in the step in which a side is first held: more may be held than can be
 _APART = 0.2  # of a side: two points that are held on it are no nearer to each other
-_OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
-_FADE = 100.0  # steps, as long as that in which a side was first held: its force falls to 1/e of it once it is let go
+OVERHANG = 0.5  # of a side with a node in contact: it is held only where less of it hangs over the edge
 _CONE = 1e-6  # sine by which the common normal may leave the cone between both faces' normals, besides a step's way
 _EDGE_GROUP = 16  # edges for which near sides are found together
 _WIDER = 1.25  # times the spheres that nodes are expected to stay in
@@ -359,7 +353,7 @@ def find_held_sides(
         passes, share, point = _meet((before_one, before_other), (after_one, after_other), corners)
         stuck = gather(nodes.stuck, one), gather(nodes.stuck, other)
         hangs = jnp.where(stuck[0], 1.0 - share, jnp.where(stuck[1], share, 0.0))
-        passes = passes & ~(stuck[0] & stuck[1]) & (hangs <= _OVERHANG)
+        passes = passes & ~(stuck[0] & stuck[1]) & (hangs <= OVERHANG)
         passes &= begin + jnp.arange(TEST_BLOCK) < near.count
         pairs = materialize((one, other, first + edge, (passes, share, point)))
         return k + 1, lax_cond_once(jnp.any(passes), lambda held: _add_sides(held, *pairs, number, paths.length), held)
@@ -378,7 +372,7 @@ def _add_sides(
 ) -> HeldSides:
     """Adds the sides that pass, one by one, unless they are held near there; beyond the capacity they only count."""
     passes, shares, points = found
-    softness = (_SOFTNESS * jnp.square(length)).astype(held.softness.dtype)
+    softness = (SOFTNESS * jnp.square(length)).astype(held.softness.dtype)
 
     def add(k: jax.Array, held: HeldSides) -> HeldSides:
         i, j, share = entry(one, k), entry(other, k), entry(shares, k)
@@ -431,192 +425,3 @@ def hold_known_sides(
         return dataclasses.replace(held, share=jnp.where(here, share, held.share), point=point)
 
     return jax.lax.cond(jnp.any(here), jax.checkpoint(place), lambda held: held, held)
-
-
-# Forces that hold the sides.
-
-
-def values_at_ends(nodal: Any, held: HeldSides) -> list[jax.Array]:
-    """Velocities (3, room) [m/s] of either end of the held sides, from those of the nodes; or positions."""
-    return [jnp.stack(gather_columns(nodal, end)) for end in held.ends]
-
-
-def _values_at_points(nodal: Any, held: HeldSides) -> jax.Array:
-    """Positions (3, room) [m] of the points at which sides are held, from those of the nodes."""
-    one, other = values_at_ends(nodal, held)
-    return (1.0 - held.share) * one + held.share * other
-
-
-class HeldNodes(NamedTuple):
-    """Nodes after a step in which sides were held: positions and velocities; the loss, and work at each side [J].
-
-    Also what the holding forces (3, room) [N] take of the damping loss, per damping and velocity step [J], which was
-    counted for velocities without them.
-    """
-
-    positions: Any
-    velocities: jax.Array
-    loss: jax.Array
-    work: jax.Array
-    damped: jax.Array
-    force: jax.Array
-
-
-def hold_sides(
-    positions: Any,
-    velocities: jax.Array,
-    before: list[jax.Array],
-    held: HeldSides,
-    compliance: jax.Array,
-    immovable: jax.Array,
-    steps: tuple[jax.Array, jax.Array],
-    carrier: tuple[jax.Array, jax.Array],
-    number: jax.Array,
-    *,
-    differentiable: bool,
-) -> HeldNodes:
-    """Moves the ends of held sides so that these pass through the points where they are held.
-
-    An end in contact passes its part of a push on to the tool: loss and work are those of the ends that move freely.
-
-    Args:
-        positions: After the step as if nothing were held, three times (n_node,) [m].
-        velocities: In the step, (3, n_node) [m/s].
-        before: `values_at_ends` of the velocities before the step.
-        held: The held sides.
-        compliance: Compliance of the nodes (3, n_node) [1/kg].
-        immovable: Nodes (n_node,) that constraints do not move.
-        steps: Time [s] over which a force accelerates nodes in the step, less with damping, and the step length [s];
-            nothing is moved where that is 0.
-        carrier: Displacement at the step's end [m] and velocity (3, room) [m/s] of the tool of each side.
-        number: Number of the step.
-        differentiable: True if JAX can differentiate it.
-    """
-    weights, scatter = (1.0 - held.share, held.share), differentiable or not on_cpu()
-    accelerated, length = steps
-    active = (held.step < number) & (length > 0.0)
-    free, released, moves = _mobilities(held, active, compliance, immovable)
-    mobility = sum(w * move for w, move in zip(weights, moves, strict=True))
-
-    # A force gives a push by both steps. A side gives as much way to it whatever they are: a spring that hardened with
-    # shorter steps would throw nodes, and give energy.
-    per_force = jnp.where(length > 0.0, accelerated * length, 1.0)
-    give = held.softness / per_force * mobility
-
-    def displace(push: jax.Array) -> jax.Array:
-        """Displacements (3, room) of the held points by such pushes at all of them."""
-        nodes = _add_at_ends(jnp.zeros_like(compliance), [move * push for move in moves], held, scatter)
-        return jnp.where(free, _values_at_points(nodes, held) + give * push, push)
-
-    let_go = jnp.where(released, per_force * _fade(held, length), 0.0)
-    ahead = _add_at_ends(positions, [move * let_go for move in moves], held, scatter)
-    gap = jnp.where(free, held.point + carrier[0] - _values_at_points(ahead, held), 0.0)
-    inverse = jax.lax.stop_gradient(jnp.where(free, 1.0 / jnp.where(free, mobility, 1.0), 1.0))
-    solve = functools.partial(_conjugate_gradients, inverse=inverse)
-    if differentiable:
-        push = jax.lax.custom_linear_solve(displace, gap, solve, symmetric=True)
-    else:
-        # The forces of the last step are nearly those of this one.
-        push = solve(displace, gap, start=jnp.where(free, per_force * held.force, gap))
-    push = push + let_go
-    impulse, speed = push / jnp.where(length > 0.0, length, 1.0), carrier[1]
-    new = _add_at_ends(velocities, [move * impulse for move in moves], held, scatter)
-    parts = [jnp.where(move > 0.0, weight, 0.0) for weight, move in zip(weights, moves, strict=True)]
-    earlier, flown, later = (
-        sum(part * end for part, end in zip(parts, ends, strict=True))
-        for ends in (before, values_at_ends(velocities, held), values_at_ends(new, held))
-    )
-    carried = sum(parts) * speed
-    return HeldNodes(
-        positions=_add_at_ends(positions, [move * push for move in moves], held, scatter),
-        velocities=new,
-        loss=-jnp.sum(impulse * (0.5 * (earlier + later) - carried)),
-        work=jnp.sum(impulse * carried, axis=0),
-        damped=0.25 * jnp.sum(impulse * (earlier + flown)),
-        force=jnp.where(length > 0.0, push / per_force, held.force),
-    )
-
-
-def _mobilities(
-    held: HeldSides, active: jax.Array, compliance: jax.Array, immovable: jax.Array
-) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
-    """The components of held points that are held, and that are let go (3, room), and the ends' mobilities.
-
-    The mobilities are how far either end goes by a push there [1/kg]. A side with one end in contact is no longer held
-    where most of it hangs over the edge.
-    """
-    weights = 1.0 - held.share, held.share
-    own = [jnp.where(gather(immovable, end), 0.0, jnp.stack(gather_columns(compliance, end))) for end in held.ends]
-    mobile = [jnp.any(c > 0.0, axis=0) for c in own]
-    hangs = jnp.where(mobile[0], jnp.where(mobile[1], 0.0, weights[1]), weights[0])
-    moves = [w * c for w, c in zip(weights, own, strict=True)]
-    mobile_points = active & (weights[0] * moves[0] + weights[1] * moves[1] > 0.0)
-    free, released = mobile_points & (hangs <= _OVERHANG), mobile_points & (hangs > _OVERHANG)
-    return free, released, [jnp.where(mobile_points, move, 0.0) for move in moves]
-
-
-def _fade(held: HeldSides, length: jax.Array) -> jax.Array:
-    """The holding forces (3, room) [N] of sides that are let go, in a step of a length [s], from those before it."""
-    soft = held.softness > 0.0
-    rate = jnp.where(soft, jnp.sqrt(_SOFTNESS / jnp.where(soft, held.softness, 1.0)) / _FADE, jnp.inf)
-    return jnp.exp(-jnp.where(length > 0.0, length, 1.0) * rate) * held.force
-
-
-class _Pushes(NamedTuple):
-    """Pushes (3, room) so far, the residual gaps, the next direction, and the residual's weighted square."""
-
-    count: jax.Array
-    push: jax.Array
-    residual: jax.Array
-    direction: jax.Array
-    square: jax.Array
-
-
-def _conjugate_gradients(
-    displace: Callable[[jax.Array], jax.Array], gap: jax.Array, inverse: jax.Array, start: jax.Array | None = None
-) -> jax.Array:
-    """The pushes (3, room) that displace held points by the gaps (3, room) [m]; preconditioned by the diagonal.
-
-    What is left of the gaps is the same share of them wherever the pushes start.
-    """
-    residual = gap if start is None else gap - displace(start)
-    ahead = inverse * residual
-    push = jnp.zeros_like(gap) if start is None else start
-    first = _Pushes(jnp.int32(0), push, residual, ahead, jnp.sum(residual * ahead))
-    least = max(_ACCURACY, _ROUNDINGS * float(jnp.finfo(gap.dtype).eps)) ** 2 * jnp.sum(gap * inverse * gap)
-
-    def is_inaccurate(pushes: _Pushes) -> jax.Array:
-        return (pushes.count < _MOST_PASSES) & (pushes.square > least)
-
-    def improve(pushes: _Pushes) -> _Pushes:
-        count, push, residual, direction, before = pushes
-        displaced = displace(direction)
-        size = jnp.sum(direction * displaced)
-        step = before / jnp.where(size > 0.0, size, jnp.inf)
-        residual = residual - step * displaced
-        ahead = inverse * residual
-        square = jnp.sum(residual * ahead)
-        return _Pushes(count + 1, push + step * direction, residual, ahead + square / before * direction, square)
-
-    return jax.lax.while_loop(is_inaccurate, improve, first).push
-
-
-def _add_at_ends(values: Any, changes: list[jax.Array], held: HeldSides, scatter: bool) -> Any:
-    """Values (k, n_node), or k rows of them, with the changes (k, room) of either end of the held sides added."""
-    first, second = held.ends
-    if scatter and isinstance(values, tuple):
-        return vector(_add_at_ends(jnp.stack(values), changes, held, scatter))
-    if scatter:
-        array: jax.Array = values
-        return array.at[:, first].add(changes[0]).at[:, second].add(changes[1])
-
-    def add(k: jax.Array, rows: list[jax.Array]) -> list[jax.Array]:
-        # One by one, and all is read before anything is written (docs/explanation/kernels.md).
-        for end, change in zip(held.ends, changes, strict=True):
-            node = entry(end, k)
-            new = materialize([entry(row, node) + entry(own, k) for row, own in zip(rows, change, strict=True)])
-            rows = [put(row, value[None], node) for row, value in zip(rows, new, strict=True)]
-        return rows
-
-    rows: Any = jax.lax.fori_loop(0, jnp.minimum(held.count, held.share.size), add, list(values))
-    return vector(rows) if isinstance(values, tuple) else jnp.stack(rows)

@@ -8,14 +8,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact import edge_contact
+from jaxform.contact import edge_contact, edge_forces
 from jaxform.contact.broad_phase import Candidates
-from jaxform.contact.edge_contact import HeldNodes, HeldSides, SidePaths
+from jaxform.contact.edge_contact import HeldSides, SidePaths
+from jaxform.contact.edge_forces import HeldNodes, Inverse
 from jaxform.contact.sliding import sliding_nodes
 from jaxform.dynamics.window_state import WindowData, WindowState
 from jaxform.kernels.blocks import lax_cond_once
+from jaxform.mechanics.elements import Nodes
 from jaxform.model.scene import Scene
+from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.scheme import add_by_tool
+from jaxform.sheet.state import PackedState
 from jaxform.tools.mold import ToolFrame, tool_offset, tool_velocity
 
 Frames = tuple[ToolFrame | None, ...]
@@ -64,14 +68,14 @@ def hold_sides_at_edges(
     assert held is not None
     tools = _tools_of_edges(held.edge, scene)
     carrier = _carrier(tools, frames, held.point)
-    before = edge_contact.values_at_ends(current.nodes.velocities, held)
+    before = edge_forces.values_at_ends(current.nodes.velocities, held)
     damping = scene.solver.damping
     half = 0.0 if damping is None else 0.5 * damping * steps[0]
-    immovable = nodes.stuck | sliding_nodes(nodes.stuck, nodes.wall) if scene.slides else nodes.stuck
+    immovable = _immovable_nodes(nodes, scene)
     zero = jnp.zeros((), nodes.velocities.dtype)
 
     def hold(free: HeldNodes) -> HeldNodes:
-        return edge_contact.hold_sides(
+        return edge_forces.hold_sides(
             free.positions,
             free.velocities,
             before,
@@ -81,6 +85,7 @@ def hold_sides_at_edges(
             (steps[0] / (1.0 + half), steps[1]),
             carrier,
             current.count,
+            data.edge_inverse,
             differentiable=differentiable,
         )
 
@@ -95,6 +100,19 @@ def hold_sides_at_edges(
     nodes = dataclasses.replace(nodes, positions=found.positions, velocities=found.velocities)
     pushed = dataclasses.replace(held, force=found.force)
     return dataclasses.replace(moved, nodes=nodes, account=account, held=pushed)
+
+
+def _immovable_nodes(nodes: Nodes, scene: Scene) -> jax.Array:
+    """The nodes (n_node,) that the constraints do not move."""
+    return nodes.stuck | sliding_nodes(nodes.stuck, nodes.wall) if scene.slides else nodes.stuck
+
+
+def invert_at_begin(state: PackedState, scene: Scene, active: ActiveSet, length: jax.Array) -> Inverse | None:
+    """The inverse of the system of the sides that are held when a window begins; None without sharp edges."""
+    if state.held is None:
+        return None
+    held, immovable = state.held.at(active.packed.place), _immovable_nodes(state.nodes, scene)
+    return edge_forces.invert_system(*jax.lax.stop_gradient((held, active.compliance, immovable, length)))
 
 
 def _tools_of_edges(edge: jax.Array, scene: Scene) -> jax.Array:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxform.adapt.element_bisection import initial_mesh
 from jaxform.contact.broad_phase import PAIRS_PER_NODE, BroadPhaseCheck
 from jaxform.contact.edge_contact import HeldSides, no_held_sides
+from jaxform.contact.edge_forces import Inverse
 from jaxform.contact.facet_slip import KnownFacets
 from jaxform.contact.sliding import ToolEnergies
 from jaxform.contact.sticking import FirstHits
@@ -98,6 +99,7 @@ class WindowData:
         recursion: Factors that advance the Prony terms by a step; None without Prony terms.
         loss_modes: Prony terms for the viscous loss; None without Prony terms.
         rim: Places of the ends of moving rims' edges (2, n_edge); None without moving rims.
+        edge_inverse: Inverse of the system of the sides held at the window's begin; None without sharp edges.
     """
 
     active: ActiveSet
@@ -110,6 +112,7 @@ class WindowData:
     recursion: Recursion | None
     loss_modes: Modes | None = None
     rim: jax.Array | None = None
+    edge_inverse: Inverse | None = None
 
 
 class KnownContact(NamedTuple):

@@ -13,10 +13,19 @@ from scipy.spatial import ConvexHull, QhullError
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, topology, volumes
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import bottle_axis
-from jaxform.tools.bottle_axis import FLAT, NARROW, TOP, find_axis, hull_sizes, plane_axes, sections_across
+from jaxform.tools import revolution
 from jaxform.tools.distances import Distances
-from jaxform.tools.revolution import ROUND, find_revolution
+from jaxform.tools.revolution import (
+    FLAT,
+    NARROW,
+    ROUND,
+    TOP,
+    find_axis,
+    find_revolution,
+    hull_sizes,
+    plane_axes,
+    sections_across,
+)
 
 Array = NDArray[np.float64]
 
@@ -202,7 +211,7 @@ def find_outside(mesh: Mesh) -> Outside:
 
 def neck_error(mesh: Mesh) -> float:
     """A measure of how far the narrow end of a surface, or of the whole of a half, is from a neck; 0 for a cylinder."""
-    return bottle_axis.neck_error(*find_axis(mesh))
+    return revolution.neck_error(*find_axis(mesh))
 
 
 def clip(mesh: Mesh, normal: Array, level: float, *, keep_below: bool) -> Mesh:
@@ -341,7 +350,7 @@ def describe_bottle(mesh: Mesh) -> str:
     levels = (top - TOP * (top - bottom), bottom + TOP * (top - bottom))
     wide, neck, base = (float(np.sqrt(each / np.pi)) for each in (area, *(section(level)[0] for level in levels)))
     handle = topology.count_handles(opened.triangles) > 0
-    if not (_TIP * wide <= neck <= _NARROW_NECK * wide and bottle_axis.neck_error(opened, axis) <= _HINT_ERROR):
+    if not (_TIP * wide <= neck <= _NARROW_NECK * wide and revolution.neck_error(opened, axis) <= _HINT_ERROR):
         return ""
     if not (handle or cut - low >= 2.0 * wide or base <= _BASE * wide):
         return ""
