@@ -13,6 +13,8 @@ import pytest
 import jaxform
 import optimize
 from jaxform.io import plots
+from optimize.search import Search
+from optimize.sensitivity_check import numbers_at_bounds
 from tests import scenes
 from tests.scenes import real
 
@@ -67,6 +69,9 @@ def test_of_a_number_of_the_law() -> None:
     variable = optimize.HeaterZones(_scene(None), grid=(2, 3), distance=0.1, bounds=(0.5, 2.0), of="material.c")
     np.testing.assert_allclose(_field(variable, variable.start), 1.0, rtol=1e-3)
     assert variable.document(jnp.asarray(variable.start))["material.c"].shape == (len(_scene().parison.positions),)
+    search = Search(optimize.Study(_scene(None), (variable,), optimize.Uniform()), None, 1.0)
+    (row,) = numbers_at_bounds(search, search.reach)
+    assert row["kind"] == "heater-zones" and row["upper"] == list(range(6)) and row["unmoved"] == []
 
 
 @pytest.mark.parametrize(
