@@ -162,6 +162,7 @@ FAULTS = [
     Fault("edges", "jaxform/contact/edge_contact.py", "(b * e - c * d) / area", "(b * e + c * d) / area"),
     Fault("edges", "jaxform/contact/edge_contact.py", "OVERHANG = 0.5", "OVERHANG = 1.0"),
     Fault("edges", "jaxform/contact/edge_forces.py", "jnp.where(move > 0.0, weight, 0.0)", "weight"),
+    Fault("edges", "jaxform/contact/edge_forces.py", "0.0, own) - factor * row", "0.0, own) + factor * row"),
     Fault("motion", "jaxform/tools/mold.py", "s * s * (3.0 - 2.0 * s) * (end - begin)", "s * (end - begin)"),
     Fault("motion", "jaxform/contact/sliding.py", "else frame.offset[k] - length * c)", "else frame.offset[k])"),
     Fault("gas", "jaxform/loads/gas.py", "0.5 * slope * passed)", "slope * passed)"),

@@ -23,6 +23,8 @@ import jaxform
 from benchmarks.timing import best_in_turns, whole_loop
 from jaxform import molds, shapes
 from jaxform.contact import broad_phase, candidates, sticking
+from jaxform.core.store import Store
+from jaxform.dynamics import window
 from jaxform.io import files
 from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics import membrane
@@ -463,6 +465,35 @@ def show_edges(elements: int = 2500) -> None:
             )
 
 
+def show_held(elements: int = 1600) -> None:
+    """Prints what a run takes in which many sides are held, with an inverse for their forces and with the diagonal."""
+    document = files.validate_scene(_RIBBED_SCENE, "ribbed cup", Path.cwd())
+    parison = document.data["parison"] | {"elements": elements}
+    changed = {"parison": parison, "solver": document.data["solver"] | {"edge_contact": True}}
+    scene = files.build(files.validate_scene(document.data | changed, document.file, document.folder))
+    stores, walls, inverted = {"the inverse": Store(), "the diagonal": Store()}, [], window.invert_at_begin
+    try:
+        for name, store in stores.items():
+            jax.clear_caches()
+            window.invert_at_begin = inverted if name == "the inverse" else lambda *_: None
+            result = jaxform.run(scene, store=store)
+            walls.append(np.asarray(result.element_thickness))
+        runs = {name: functools.partial(_run_whole, scene, store) for name, store in stores.items()}
+        times = best_in_turns(runs, rounds=3)
+    finally:
+        window.invert_at_begin = inverted
+    print(
+        f"ribbed cup, {len(walls[0])} elements, {int(result.held_sides or 0)} held sides, {int(result.steps)} steps: "
+        f"{times['the inverse']:.2f} s with the inverse, {times['the diagonal']:.2f} s with the diagonal; walls differ "
+        f"by {np.abs(walls[1] / walls[0] - 1).max():.1e}",
+        flush=True,
+    )
+
+
+def _run_whole(scene: Scene, store: Store) -> None:
+    np.asarray(jaxform.run(scene, store=store).positions)
+
+
 def same_part(scene: Callable[[Mold], Scene], coarse: molds.MoldShape, fine: molds.MoldShape) -> float:
     """Largest difference of the wall, relative, between runs with two meshes of one mold."""
     walls = [np.asarray(jaxform.run(scene(mold_of(shape))).thickness) for shape in (coarse, fine)]
@@ -490,6 +521,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "gradients": show_gradients,
     "penetration": show_penetration,
     "edges": show_edges,
+    "held": show_held,
     "finer": show_finer_molds,
 }
 

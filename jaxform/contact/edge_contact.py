@@ -5,10 +5,8 @@ them. Here the sides near an edge are compared with it, segment against segment.
 outside in a step, the point of the side sticks to the point of the edge that it meets, for good, and moves along with
 the tool.
 
-The constraint is linear in the positions of the side's ends: (1 - s) x_i + s x_j stays at the point. After each step
-the ends are moved so that it holds for all sides at once, with the least kinetic energy: the impulses at the points
-follow from a symmetric linear system, which conjugate gradients solve. So the momentum is kept, and the order of the
-sides does not matter. A side is straight: one with an end in contact is held only where less than half of it hangs over
+The constraint is linear in the positions of the side's ends: (1 - s) x_i + s x_j stays at the point; its forces are in
+`contact.edge_forces`. A side is straight: one with an end in contact is held only where less than half of it hangs over
 the edge, for else it would keep the sheet off the tool by more than it cuts it.
 
 Which side meets which edge, and when, is a decision without derivative; the share s and the point are computed from the

@@ -8,7 +8,7 @@ the sides does not matter.
 Conjugate gradients solve it, from the forces of the last step on. Along an edge with many sides the system is badly
 conditioned, for more may be held there than nodes can follow. So they are preconditioned by the inverse of the system
 at the window's begin, the same one for all components: a side that is held since then, and an end that came into
-contact, cost about one pass more each.
+contact, cost about two passes more each.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ are not in it: there it is the identity."""
 
 
 def invert_system(held: HeldSides, compliance: jax.Array, immovable: jax.Array, length: jax.Array) -> Inverse | None:
-    """The inverse of the system of sides that are held when a window begins.
+    """The inverse of the system of sides that are held when a window begins; None if there is no capacity for four.
 
     Args:
         held: The held sides.
@@ -93,7 +93,8 @@ def _invert(matrix: jax.Array, count: jax.Array) -> jax.Array:
             new = jnp.where(index == k, 0.0, own) - factor * row
             return put(flat, jnp.where(i == k, row, new), i * size)
 
-        # As many rows in each of several scenes that are computed at once.
+        # All rows, not just those that there are: where their number differs between scenes that are computed at once,
+        # JAX would copy the matrix for each row.
         return jax.lax.fori_loop(0, size, subtract, flat)
 
     return jax.lax.fori_loop(0, count, eliminate, matrix.ravel()).reshape(size, size)
