@@ -465,10 +465,10 @@ def show_edges(elements: int = 2500) -> None:
             )
 
 
-def show_held(elements: int = 1600) -> None:
+def show_held(elements: int = 2500) -> None:
     """Prints what a run takes in which many sides are held, with an inverse for their forces and with the diagonal."""
     document = files.validate_scene(_RIBBED_SCENE, "ribbed cup", Path.cwd())
-    parison = document.data["parison"] | {"elements": elements}
+    parison = document.data["parison"] | {"adapt": {"elements": elements}}
     changed = {"parison": parison, "solver": document.data["solver"] | {"edge_contact": True}}
     scene = files.build(files.validate_scene(document.data | changed, document.file, document.folder))
     stores, walls, inverted = {"the inverse": Store(), "the diagonal": Store()}, [], window.invert_at_begin
