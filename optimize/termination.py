@@ -68,8 +68,7 @@ def check_goal(study: Study, point: Point) -> Ending | None:
     """The reason why a design needs no search: it reaches the goal, or its deviations are below the tolerance."""
     if study.goal is not None:
         return GOAL if point.rank <= (0.0, study.goal) else None
-    objective = study.objective
-    if objective.squares and not objective.constrained and point.objective <= study.tolerance**2:
+    if _has_root(study) and point.objective <= study.tolerance**2:
         return Ending("target", f"the deviation is {study.tolerance:.2g} or less, below the resolution of a mesh")
     return None
 
@@ -78,8 +77,7 @@ def is_negligible(study: Study, before: float, after: float) -> bool:
     """True if the reduction from one value to another is negligible."""
     if before - after <= study.tolerance * abs(after):
         return True
-    squares = study.objective.squares and not study.objective.constrained
-    return squares and before**0.5 - max(after, 0.0) ** 0.5 <= _ROOTS * study.tolerance
+    return _has_root(study) and before**0.5 - max(after, 0.0) ** 0.5 <= _ROOTS * study.tolerance
 
 
 def predicted_gain(point: Point) -> float:
@@ -105,11 +103,15 @@ def stagnation_ending(study: Study, point: Point, first: Point, by: str = "toler
     return Ending("no-progress", words)
 
 
+def _has_root(study: Study) -> bool:
+    """True if the value is a sum of squares, whose root says how far off a design is."""
+    return study.objective.squares and not study.objective.constrained
+
+
 def _steepness(study: Study, point: Point) -> float:
     """Norm of the slope, that of the root of a sum of squares: the slope of the sum itself vanishes with its value."""
     norm = float(np.linalg.norm(point.slope))
-    squares = study.objective.squares and not study.objective.constrained
-    return norm / max(point.value, 1e-300) ** 0.5 if squares else norm
+    return norm / max(point.value, 1e-300) ** 0.5 if _has_root(study) else norm
 
 
 def budget_ending(study: Study, simulations: float, seconds: float) -> Ending | None:

@@ -152,7 +152,7 @@ def _steps(most: int | None = None) -> _Part:
         limit = state.nodes.mode, control.bound, control.sharpness, control.base_length
         count = count if most is None else jnp.minimum(count, most)
         decisions = (length, count, limit, active.workspace), None
-        end, _, workspace = step_window(state, scene, active, decisions, None, differentiable=False)
+        end, _, workspace = step_window(state, scene, active, decisions, differentiable=False)
         return end, workspace
 
     return part

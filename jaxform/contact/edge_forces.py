@@ -50,7 +50,7 @@ def invert_system(held: HeldSides, compliance: jax.Array, immovable: jax.Array, 
     size = min(held.share.size, _MOST_INVERTED) // _TOGETHER * _TOGETHER
     if not size:
         return None
-    largest = jnp.broadcast_to(jnp.max(compliance, axis=0), compliance.shape)
+    largest = jnp.max(compliance, axis=0, keepdims=True)
     free, _, moves = _mobilities(held, held.step < 0, largest, immovable)
     there, ways = free[0], [move[0] for move in moves]
     weights = 1.0 - held.share, held.share

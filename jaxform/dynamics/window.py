@@ -19,7 +19,6 @@ import jax.numpy as jnp
 from jaxform.contact import sticking
 from jaxform.contact.broad_phase import CandidateLists, Candidates, allocate_lists, initial_check
 from jaxform.contact.candidates import list_candidates
-from jaxform.contact.edge_forces import Inverse
 from jaxform.contact.facet_slip import begin_facets
 from jaxform.dynamics.contact_step import any_missed, to_tool_frame
 from jaxform.dynamics.edge_step import invert_at_begin, list_sides
@@ -67,21 +66,18 @@ def window(
     active = active_set_of(state, scene, discrete, differentiable=differentiable)
     packed, active = cool_state(active.pack_state(state), scene, active, differentiable=differentiable)
     decisions = save_decision(_make_decisions(packed, scene, active, schedule))
-    inverse = invert_at_begin(packed, scene, active, decisions[0][0])
-    end, *_ = step_window(packed, scene, active, decisions, inverse, differentiable=differentiable)
-    return active.unpack_state(end)
+    return active.unpack_state(step_window(packed, scene, active, decisions, differentiable=differentiable)[0])
 
 
 def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[PackedState, ActiveSet]:
     """Advances a state in packed order by a window, not differentiable; also returns the workspace for the next."""
     state, active = cool_state(state, scene, active, differentiable=False)
     chosen = choose_step(state, scene, active)
-    inverse = invert_at_begin(state, scene, active, chosen[0])
 
     def advance(carry: tuple[PackedState, Workspace | None]) -> tuple[PackedState, Workspace | None]:
         state, workspace = carry
         decisions = (*chosen[:3], workspace), None
-        state, _, workspace = step_window(state, scene, active, decisions, inverse, differentiable=False)
+        state, _, workspace = step_window(state, scene, active, decisions, differentiable=False)
         return state, workspace
 
     state, workspace = compile_as_one(advance, (state, chosen[3]), state.windows)
@@ -109,8 +105,7 @@ def window_and_impacts(
     impacts, packed = bool(scene.surfaces), active.packed
     begin = active.pack_state(state)
     decisions = _make_decisions(begin, scene, active, schedule)
-    inverse = invert_at_begin(begin, scene, active, decisions[0][0])
-    end, current, _ = step_window(begin, scene, active, decisions, inverse, differentiable=False, impacts=impacts)
+    end, current, _ = step_window(begin, scene, active, decisions, differentiable=False, impacts=impacts)
     # Nothing landed in a rejected window.
     landed = jnp.where(end.control.last_count > 0, packed.unpack(current.landing_step), NEVER)
     return active.unpack_state(end), landed, None if current.impact is None else packed.unpack(current.impact)
@@ -121,15 +116,11 @@ def step_window(
     scene: Scene,
     active: ActiveSet,
     decisions: Decisions,
-    inverse: Inverse | None,
     *,
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[PackedState, WindowState, Workspace | None]:
-    """The state after a window with given decisions, the window state at its end, and the workspace.
-
-    With sharp edges it is given the inverse of the system of the sides that are held at its begin.
-    """
+    """The state after a window with given decisions, the window state at its end, and the workspace."""
     (length, max_count, (mode, bound, sharpness, base_length), workspace), row = decisions
     modes = active.viscous(scene.material)
     data = WindowData(
@@ -143,7 +134,7 @@ def step_window(
         recursion=None if modes is None else modes.recursion(length),
         loss_modes=None if modes is None else modes.limit_losses(length),
         rim=rim_places(scene, state.mesh, active.packed),
-        edge_inverse=inverse,
+        edge_inverse=invert_at_begin(state, scene, active, length),
     )
     timing = state.time, state.control.step_length, length
     longest = scene.tables.step_capacity
